@@ -2,7 +2,7 @@
 
 Read ``method`` first: an algorithm is one file with one pydantic model, and a folder of such files is a registry.
 
-| module | holds |
+| module | contents |
 |---|---|
 | ``method`` | ``Method``, base of the algorithms; ``Family``, those of a folder |
 | ``registry`` | named classes of one kind |

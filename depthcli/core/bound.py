@@ -1,4 +1,4 @@
-"""What a bound of a map's errors promises: asked of methods by their configs, and checked by evaluations."""
+"""Requirements on a map's error bounds: set in configs, met by methods, checked by evaluations."""
 
 from pydantic import Field
 
@@ -6,7 +6,7 @@ from depthcli.core.method import ConfigModel
 
 
 class Bound(ConfigModel):
-    """What is asked of a map: a bound of its errors, and the probability of a small one."""
+    """Requirements on a map: an error bound, and the probability of a small error."""
 
     level: float = Field(default=0.9, ge=0.5, le=0.99, description="share of the errors that are within the bound")
     within: float = Field(

@@ -78,7 +78,7 @@ def _with_base(
     """Return ``config``, of the file ``path``, laid over the one that its key ``base`` names.
 
     Mappings are merged key by key, except that a mapping which selects a different method replaces the base's mapping.
-    Any other value replaces that of the base. A file in the folder of ``path`` has precedence over a preset; ``chain``
+    Any other value replaces the base's value. A file in the folder of ``path`` has precedence over a preset; ``chain``
     are the files that were read before this one, each naming the next as its base.
     """
     if config.data.get("plugins"):
@@ -201,7 +201,7 @@ def _put(config: ConfigData, key: str, value: Any, place: str, defaults: Any) ->
 
 
 def _step_into(inside: Any, part: str | int, default: Any) -> Any:
-    """Return what a key of a mapping, or an index of a list, holds, as something that keys can be set in."""
+    """Return the value at a key of a mapping or an index of a list, as a container in which keys can be set."""
     below = inside.get(part) if isinstance(inside, dict) else inside[part]
     if below is None:
         below = copy.deepcopy(default) if isinstance(default, dict | list) else {}
@@ -211,7 +211,7 @@ def _step_into(inside: Any, part: str | int, default: Any) -> Any:
     return below
 
 
-# What pydantic says, with the place in the file.
+# Errors of pydantic, with their place in the file.
 
 
 def _explain(config: ConfigData, error: Any) -> str:
@@ -234,7 +234,7 @@ def _explain(config: ConfigData, error: Any) -> str:
         hint = f"; write [{got}, {got}]"
     big = isinstance(got, dict | list | tuple | BaseModel) and len(short(got)) > 60
     shown = "" if big or kind in ("missing", "method_name") else f" (got {short(got)})"
-    # An option or override that names the key, or one below it, needs no key beside it.
+    # An option or override that names the key, or one below it, needs no further key.
     path = place.partition(" ")[2]
     is_named = place.startswith(OVERRIDES) and (not path or f"{path}.".startswith(f"{key}."))
     return f"{place if is_named or not key else f'{place}: {key}'}: {text}{shown}{hint}"

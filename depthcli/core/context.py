@@ -1,4 +1,4 @@
-"""What a scene needs on its way through the stages besides its inputs, handed along as an argument."""
+"""Context of one scene: everything besides its inputs that the stages need, passed as an argument."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Context:
     program_memory: int | None = None  # bytes that a program may take, with all processes that it starts; None: all
     latest: Latest = field(default_factory=Latest)  # of all scenes that this process computes
     clock: Clock = field(default_factory=Clock)
-    # A pair that image files hold as it is matched, and these files.
+    # The matched pair and its image files, if the files contain it unchanged.
     originals: tuple[object, tuple[Path, ...]] | None = None
     # Columns of the report about programs: their processor time, seconds, and the largest memory of one, bytes.
     used: dict[str, float] = field(default_factory=dict)

@@ -19,7 +19,7 @@ EXIT_CODES = {
     130: "ended by Ctrl-C; the same command goes on where it stopped",
     143: "ended by SIGTERM; the same command goes on where it stopped",
 }
-"""Exit code -> what it means."""
+"""Exit code -> meaning."""
 
 
 class Terminated(BaseException):
@@ -29,7 +29,7 @@ class Terminated(BaseException):
 class DepthcliError(Exception):
     """Base of the errors a command reports without a traceback. The message can always be printed and encoded.
 
-    Queries and passwords of URLs stay out of it, as reports hold it.
+    Queries and passwords of URLs are left out, since reports contain this text.
     """
 
     def __str__(self) -> str:
@@ -49,4 +49,4 @@ class OutputError(DepthcliError):
 
 
 class IncompleteError(DepthcliError):
-    """Results stand in their files, but the report or the data for stdout cannot be written."""
+    """Results were saved, but the report or standard output could not be written."""

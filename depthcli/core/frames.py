@@ -21,8 +21,7 @@ class StereoPair:
 
     The images are (H, W) grey or (H, W, 3) RGB, uint8 or uint16, of one shape and dtype. Their samples have ``bits``,
     such as 10 or 12 in a uint16 image (None: all of the dtype); larger samples count as the largest. ``light_trust``,
-    (H, W) uint8, says how comparable the grey level at a pixel of the left image is with those of the right image;
-    255, or None: fully.
+    (H, W) uint8, tells how comparable the grey level of a left pixel is with the right image; 255, or None: fully.
     """
 
     left: Image
@@ -50,7 +49,7 @@ class StereoPair:
 
     @cached_property
     def grey(self) -> tuple[Image, Image]:
-        """Both images as (H, W) luma over the full range of their dtype; that of 8-bit color images is uint16.
+        """Both images as (H, W) luma over the full range of their dtype; 8-bit color images give uint16.
 
         A sum of three channels is finer than one of them. Rounded to 8 bits, pixels of weak texture would become alike.
         """
@@ -125,14 +124,14 @@ def infrared_image(image: Image) -> NDArray[np.uint8]:
 class RgbdFrame:
     """A color image and the depth that a sensor measured for its pixels.
 
-    The sensor's disparity is ``fb / depth`` pixels; the default of ``fb`` is that of Kinect v1, 580 pixels x 75 mm.
+    The sensor's disparity is ``fb / depth`` pixels; the default ``fb`` is the Kinect v1's, 580 pixels x 75 mm.
     """
 
     color: NDArray[np.uint8]  # (H, W, 3) RGB
     depth: NDArray[np.float32]  # (H, W), meters, NaN = unknown; registered to ``color``
     fb: float = 43.5  # focal length x baseline, pixel meters
     intrinsics: Intrinsics | None = None  # the color camera's
-    interpolated: bool = False  # the sensor's map is smaller than ``color``, ``depth`` lies between its samples
+    interpolated: bool = False  # the sensor's map is smaller than ``color``, ``depth`` is interpolated
     pose: NDArray[np.float64] | None = None  # (4, 4), from the camera's coordinates to the world's, meters
     has_color: bool = True  # False: there is no color image, and ``color`` is grey everywhere
 

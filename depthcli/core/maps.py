@@ -25,7 +25,7 @@ class _Flags(IntFlag):
 
 
 class Status(_Flags):
-    """Why a pixel has no value (NaN), or what was done to the value it has.
+    """Reason why a pixel has no value (NaN), or how its value was changed.
 
     ``OCCLUDED`` to ``NO_DATA`` are reasons why the matcher measured no reliable value. ``FILLED`` and ``SMOOTHED``
     describe a value that is there; a filled pixel keeps its reason: ``OCCLUDED | FILLED``.
@@ -41,9 +41,9 @@ class Status(_Flags):
 
 
 class DepthStatus(_Flags):
-    """What was done to a pixel of a sensor's depth map; ``KEPT`` alone was measured and left as it was (or smoothed).
+    """How a pixel of a sensor's depth map was changed; ``KEPT`` alone: measured and unchanged (or smoothed).
 
-    At most one of the bits up to ``EMPTY`` is set; ``SMOOTHED`` and ``SAMPLED`` are information beside it.
+    At most one of the bits up to ``EMPTY`` is set; ``SMOOTHED`` and ``SAMPLED`` are additional information.
     """
 
     KEPT = 0
@@ -65,7 +65,7 @@ STATUS_HELP = {
     Status.FILLED: "filled: the value was put in from around; the reason's bit stays set",
     Status.SMOOTHED: "smoothed: a filter changed the value",
 }
-"""Bit -> what it says of a pixel of a disparity map."""
+"""Bit -> meaning for a pixel of a disparity map."""
 
 DEPTH_STATUS_HELP = {
     DepthStatus.KEPT: "kept: the sensor's value",
@@ -79,7 +79,7 @@ DEPTH_STATUS_HELP = {
     DepthStatus.SAMPLED: "from stereo (transparent): filled or corrected, and stereo of the pixel itself gives the "
     "same value; without it the value is inferred from the pixels around",
 }
-"""Bit -> what it says of a pixel of a depth map."""
+"""Bit -> meaning for a pixel of a depth map."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Algorithms as files: a folder of modules is a registry of methods.
 
 A *method* is one algorithm: one module with one frozen pydantic model, whose fields are its parameters and whose
-``__call__`` runs it. A *family* is the package that the modules lie in. In a config a method is written as its module's
+``__call__`` runs it. A *family* is the package with the modules. In a config a method is written as its module's
 name, ``census``, or with parameters, ``{method: census, window: [9, 7]}``. Adding a method is adding a file; nothing
 else is edited. Plug-ins add methods, too (see ``plugins``).
 """
@@ -81,7 +81,7 @@ class ConfigModel(BaseModel):
     def _with_hint(cls, error: Any) -> InitErrorDetails:
         kind, text, place, facts = error["type"], error["msg"], error["loc"], error.get("ctx", {})
         method = getattr(cls, "flattened", "")
-        if method and place[:1] == (method,) and len(place) > 1:  # its keys stand at the root of the file
+        if method and place[:1] == (method,) and len(place) > 1:  # its keys are at the root of the file
             place = place[1:]
         if len(place) == 1 and kind in ("extra_forbidden", "unknown_key"):
             own = [info.alias or name for name, info in cls.model_fields.items() if not info.exclude]
@@ -101,11 +101,11 @@ class Method(ConfigModel):
 
     @classmethod
     def method_name(cls) -> str:
-        """Return the name of the method in a config, that of its module."""
+        """Return the name of the method in a config, which is its module's name."""
         return registered_name(cls)
 
     def used_files(self) -> dict[str, Path]:
-        """Return role -> file, of files that the result depends on beside the scene's; ConfigError where one lacks."""
+        """Return role -> file for every dependency besides the scene's files. Raise ConfigError if one is missing."""
         return {}
 
     @model_serializer(mode="wrap")
@@ -116,10 +116,10 @@ class Method(ConfigModel):
 
 
 class RootConfig(ConfigModel):
-    """Base of a command's config, whose field named ``flattened`` holds a method written at the root of the file.
+    """Base of a command's config. The keys of the method in its field ``flattened`` are at the root of the file.
 
     ``{pipeline: local, cost: census, max_disparity: 60}`` reads as the field ``max_disparity`` of the command and a
-    pipeline with its field ``cost``. Where the field has a default, a file that names no method has that one. A config
+    pipeline with its field ``cost``. If the field has a default, it is used for a file that names no method. A config
     whose ``flattened`` is empty has no such field. The key ``run``, which a run folder's ``run.yaml`` adds about how it
     was made, is accepted and ignored, so that this file is a config again.
     """
@@ -145,7 +145,7 @@ class RootConfig(ConfigModel):
         if isinstance(name, BaseModel):
             return data
         fields = cls.model_fields.keys() - {cls.flattened}
-        if isinstance(data.get("run"), str | list):  # not what a run.yaml says, but the method's
+        if isinstance(data.get("run"), str | list):  # the method's key, not that of a run.yaml
             fields -= {"run"}
         own: dict[str, Any] = {}
         rest: dict[str, Any] = {}
@@ -204,7 +204,7 @@ class Family(Registry[Method]):
     def suggestions(self, name: object, *others: str) -> str:
         """Return the end of a message about an unknown name: the one that may be meant, and all, with their packages.
 
-        Without a name there was none; ``others`` are further names that may stand there.
+        Without a name there was none; ``others`` are further names that are allowed there.
         """
         names, shown = [*others, *self.names()], [*others, *self.own_names]
         shown += [
@@ -217,7 +217,7 @@ class Family(Registry[Method]):
 
 
 def method_of(package: str, key: str = "method") -> Any:
-    """Return the pydantic metadata of a field that holds a method of ``package``.
+    """Return the pydantic metadata of a field for a method of ``package``.
 
     >>> class Config(BaseModel):
     ...     cost: Annotated[CostMeasure, *method_of("depthcli.methods.stereo.cost")]

@@ -1,7 +1,7 @@
 """Plug-ins: Python files and installed modules that ``--plugin``, or the key ``plugins`` of a config, names.
 
 A plug-in adds its public classes whose base is one of a registry's package, its functions with the decorator
-``depthcli.commands.command``, and the files ``presets/COMMAND/NAME.yaml`` beside it. A process that unpickles objects
+``depthcli.commands.command``, and the files ``presets/COMMAND/NAME.yaml`` next to it. A process that unpickles objects
 of such classes loads the plug-ins first.
 """
 
@@ -40,7 +40,7 @@ class Plugin:
 
     @property
     def is_file(self) -> bool:
-        """Whether it is a file, which other machines do not have."""
+        """True for a file, which other machines do not have."""
         return self.source != self.module
 
     @property
@@ -75,7 +75,7 @@ def load_plugin(name: str, folder: Path = Path()) -> None:
             raise TypeError("it holds no command, and no subclass of a method, layout, protocol or the like")
     except (KeyboardInterrupt, Terminated):
         raise
-    except BaseException as error:  # a stranger's code may raise anything, or want to exit
+    except BaseException as error:  # a stranger's code may raise anything, or exit
         forget(module)
         places = [f"{file}:{line}" for root, file, line in _frames(error) if root == module.partition(".")[0]]
         reason = f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"
@@ -99,7 +99,7 @@ def plugins_of(kinds: Iterable[type]) -> set[Plugin]:
 
 
 def plugin_behind(error: BaseException) -> str:
-    """Return the plug-in whose code raised an error, or called what did, with file and line; else an empty text."""
+    """Return the plug-in whose code raised an error or called the code that did, with file and line; "" if none did."""
     plugins = {plugin.root: plugin for plugin in loaded.values()}
     for root, file, line in reversed(_frames(error)):
         if root in plugins:

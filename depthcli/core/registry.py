@@ -20,7 +20,7 @@ registries: dict[str, Registry[Any]] = {}
 class Registry(Generic[T]):
     """Named classes of one kind, each derived from a base class that their package defines.
 
-    Public modules of the package hold our own classes, one each.
+    Public modules of the package contain our own classes, one each.
     """
 
     def __init__(self, package: str) -> None:

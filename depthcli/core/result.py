@@ -16,7 +16,7 @@ from depthcli.kernels.jit import compile_seconds
 
 @dataclass(kw_only=True)
 class Result:
-    """What a pipeline returns in addition to its main map, by names; subclasses add the map of their problem."""
+    """Named results of a pipeline in addition to its main map, which subclasses add."""
 
     seconds: dict[str, float] = field(default_factory=dict)  # by stage, in order
     confidence: dict[str, NDArray[np.float32]] = field(default_factory=dict)  # (H, W), higher is surer
@@ -42,7 +42,7 @@ class Clock:
         self._last = 0.0
 
     def start(self, stage: str) -> None:
-        """End the current stage and begin another one; a stage that was begun before goes on."""
+        """End the current stage and begin another one; an earlier stage is continued."""
         self._book()
         self._stage = stage
 

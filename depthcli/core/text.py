@@ -37,7 +37,7 @@ def one_line(text: str) -> str:
 def without_secrets(text: str) -> str:
     """Return ``text`` with URLs as they are written, but without queries and passwords, such as signatures of a store.
 
-    Paths hold URLs with one slash, ``https:/host/a.zip``.
+    A URL in a path has a single slash, ``https:/host/a.zip``.
     """
     if ":/" not in text:
         return text
@@ -88,7 +88,7 @@ def side_and_distance(ends: str, millimeters: float) -> str:
 
 
 def summarized(warnings: Iterable[tuple[str, str]]) -> list[str]:
-    """Return one line a kind of warning (scene, line), that of its first scene, with the number of the other scenes."""
+    """Return one line per kind of warning (scene, line): its first scene, and the number of other scenes."""
     kinds: dict[str, list[tuple[str, str]]] = {}
     for scene, line in warnings:
         kinds.setdefault(kind_of_warning(scene, without_file(line)), []).append((scene, line))

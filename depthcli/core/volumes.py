@@ -67,8 +67,8 @@ class Grid:
     def slice_positions(self, axis: int) -> tuple[float, float]:
         """Return the position of the first slice across ``axis`` of a turned array and the step to the next one, mm.
 
-        Positive towards superior, anterior and right for the axes 0, 1 and 2. Positions are those of the slices'
-        centers: on an oblique grid, other points of a slice lie elsewhere.
+        Positive towards superior, anterior and right for the axes 0, 1 and 2. Positions are the centers of the
+        slices: on an oblique grid, other points of a slice have other positions.
         """
         order, flipped = self.anatomical_axes()
         ends = np.tile((np.array(self.shape) - 1) / 2, (2, 1))

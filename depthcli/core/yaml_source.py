@@ -16,7 +16,7 @@ from depthcli.core.text import short
 Location = tuple[str | int, ...]
 
 OVERRIDES = ("--", "override ")
-"""How the places of values begin that no file holds: options of the command line, and keywords of Python."""
+"""Prefixes of places of values that are in no file: options of the command line, and keywords of Python."""
 
 # Far above any config, far below what would take long or much memory (anchors can multiply nodes).
 _MAX_BYTES = 1 << 20
@@ -64,8 +64,8 @@ class ConfigData:
     def place(self, location: Location) -> str:
         """Return the place of the value at ``location``, for messages.
 
-        That is the last option or override that set the value or a part of it; else its own ``file:line``, or that of
-        the nearest value around it whose place is known.
+        That is the last option or override that set the value or a part of it; otherwise its own ``file:line``, or the
+        place of the nearest enclosing value with a known place.
         """
         within = [place for at, place in self.places.items() if at[: len(location)] == location]
         if location and (changed := [place for place in within if place.startswith(OVERRIDES)]):

@@ -51,12 +51,12 @@ class Intrinsics:
 
 
 def off_center(camera: Intrinsics, size: tuple[int, int]) -> str:
-    """Return why a camera is probably not that of images of a (width, height); "" if it may be.
+    """Return why a calibration probably belongs to images of another (width, height); "" if it fits.
 
-    Its principal point is far from their center, as that of a camera of images of another size is.
+    It does not fit if its principal point is far from the image center.
     """
     center = ((size[0] - 1) / 2, (size[1] - 1) / 2)
-    # Half a pixel lies between conventions of where a pixel's center is.
+    # Conventions of a pixel's center differ by half a pixel.
     apart = max((abs(camera.cx - center[0]) - 0.5) / size[0], (abs(camera.cy - center[1]) - 0.5) / size[1])
     if not apart > _MAX_OFF_CENTER:
         return ""
@@ -165,7 +165,7 @@ class Camera:
     ) -> list[NDArray[np.float32]]:
         """Return the depth map of points (N, 3), in the camera frame, meters, then maps of their ``values``, (N,) each.
 
-        All are float32, NaN where there is no point. Of several points in one pixel, the nearest one counts.
+        All are float32, NaN at pixels without a point. If a pixel has several points, the nearest one counts.
         """
         images = [np.full(shape, np.nan, np.float32) for _ in range(1 + len(values))]
         ahead = points[:, 2] > 0

@@ -1,4 +1,4 @@
-"""A depth camera beside a color camera: its depth map in the color camera's pixels, of whatever size either has."""
+"""Resample a depth camera's map to the pixels of a color camera; the images may have any sizes."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from depthcli.core.cameras.camera import Camera, Intrinsics, Place, check_place,
 from depthcli.core.errors import InputError
 from depthcli.kernels.jit import jit
 
-# Largest relative difference of two depths that may lie on one surface, if nothing else says so; set by hand.
+# Default of the largest relative difference between two depths on one surface; set by hand.
 _MAX_STEP = 0.03
-# Neighboring samples whose relative steps differ by more lie on two surfaces: standard deviations of the map's noise,
-# and the least and the largest of it; set by hand.
+# Neighboring samples whose relative steps differ by more are on two surfaces: standard deviations of the map's noise,
+# with lower and upper limits of that noise; set by hand.
 _MAX_BEND, _MIN_LIMIT, _MAX_LIMIT = 6.0, 0.005, 0.1
 _MAD_TO_SIGMA = 1.4826
 _PATCHES_AT_ONCE = 1 << 15  # limits the memory of their points
@@ -36,17 +36,17 @@ class ColorAndDepth:
 
     @property
     def interpolates(self) -> bool:
-        """True where the depth camera's pixels are larger than those of the color camera."""
+        """True if the depth camera's pixels are larger than the color camera's."""
         return bool(np.any(np.diag(self.color.matrix) > np.diag(self.depth.matrix) * (1 + 1e-9)))
 
     def register(self, depth: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
         """Return the depth camera's map in the pixels of the color image of ``shape`` (H', W'), float32, meters.
 
-        Of several surfaces in one pixel, the nearest one counts. Where the depth camera's pixels are larger than those
-        of the color camera, depth is interpolated between neighboring samples of one surface; between samples of two
-        surfaces each pixel belongs to the nearer sample, and lies on the plane of that one's own neighbors. Else,
-        points are projected. A single empty pixel between two neighbors of similar depth gets their mean; what the
-        depth camera did not see or could not measure stays unknown.
+        If several surfaces fall on one pixel, the nearest one counts. If the depth camera's pixels are larger than the
+        color camera's, depth is interpolated between neighboring samples of one surface. Between samples of two
+        surfaces, each pixel belongs to the nearer sample and is on the plane through that sample's neighbors. Otherwise
+        points are projected. A single empty pixel between two neighbors of similar depth gets their mean. Pixels that
+        the depth camera did not see or measure stay unknown.
         """
         if not self.interpolates:
             rows, columns = np.nonzero(np.isfinite(depth))
@@ -76,7 +76,7 @@ class Registered(NamedTuple):
 
     depth: NDArray[np.float32]  # (H, W), meters, NaN = unknown
     interpolated: bool = False  # the map was smaller than the image
-    note: str = ""  # what was assumed, as nothing is known of the depth camera
+    note: str = ""  # assumption made without a calibration of the depth camera
 
 
 def registered(
@@ -89,8 +89,8 @@ def registered(
     """Return a depth map in the pixels of a color image.
 
     Without ``camera``, a map of the image's size is returned as it is, and a smaller one of the same aspect ratio is
-    scaled. ``place`` is that of the depth camera, None: where the color camera is. InputError where the sizes differ
-    and the cameras are not known, a camera or its place cannot be, or the color camera sees nothing of the map.
+    scaled. ``place`` is the pose of the depth camera; None: the pose of the color camera. Raise InputError if the sizes
+    differ and the cameras are unknown, if a camera or its pose is impossible, or if no point is in the color image.
     """
     if camera is None and place is not None:
         raise InputError("depth_to_color wants depth_intrinsics beside it")
@@ -141,8 +141,8 @@ def _close_gaps(depth: NDArray[np.float32]) -> NDArray[np.float32]:
 def _surface_patches(inverse: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return quadrilaterals that cover all known pixels of a map of inverse depth, each within one surface.
 
-    Four neighboring centers of pixels whose samples lie on one surface are the corners of one quadrilateral. Where
-    they do not, each sample gets a quarter of the square between them, with the slope to its neighbors on its surface.
+    Four neighboring pixel centers with samples on one surface are the corners of one
+    quadrilateral. Otherwise each sample gets a quarter of the square between them, with the slope to its neighbors on its surface.
     The result is x, y of the corners, (N, 4, 2), clockwise as the image is seen, and their inverse depth, (N, 4).
     """
     inverse = np.pad(inverse, 1, constant_values=np.nan)
@@ -177,7 +177,7 @@ def _relative_steps(inverse: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _same_surface(inverse: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
-    """(H, W - 1): a pixel and the next one in its row lie on one surface.
+    """(H, W - 1): a pixel and the next one in its row are on one surface.
 
     Either they are alike, or on one slope with the pixels on both sides; with that on one side if the step is small,
     which is so at the rim of a slanted surface.
@@ -191,7 +191,7 @@ def _same_surface(inverse: NDArray[np.float64], limit: float) -> NDArray[np.bool
 
 
 def _slopes(inverse: NDArray[np.float64], right: NDArray[np.bool_], sign: int) -> NDArray[np.float64]:
-    """(H, W): change along x per pixel, by the neighbor on the side ``sign``, else the other; 0 where neither fits."""
+    """(H, W): change along x per pixel, to the neighbor on the side ``sign`` or else to the other one; 0 if neither fits."""
     steps = np.pad(np.where(right, np.diff(inverse, axis=1), 0.0), ((0, 0), (1, 1)))
     known = np.pad(right, ((0, 0), (1, 1)))
     after, before = slice(1, None), slice(None, -1)

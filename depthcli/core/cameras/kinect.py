@@ -51,7 +51,7 @@ class KinectCalibration(ColorAndDepth):
 
 
 def kinect_v1() -> KinectCalibration:
-    """Return a typical calibration, that of the NYU Depth v2 recordings (Silberman et al., ECCV 2012)."""
+    """Return a typical calibration, from the NYU Depth v2 recordings (Silberman et al., ECCV 2012)."""
     depth = Camera(
         np.array([[582.62448167737955, 0, 313.04475870804731], [0, 582.69103270988637, 238.44389626620386], [0, 0, 1]]),
         (-0.09989723655308448, 0.39065324602765344, 0.0019290592870229277, -0.0019422022475975055, -0.5103172505340058),

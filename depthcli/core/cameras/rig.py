@@ -24,7 +24,7 @@ class Rig:
     InputError where the matrix is not a rotation, the cameras have one position, or only one has a fisheye lens.
     """
 
-    left: Camera  # of a color and an infrared camera, the color camera wherever it stands
+    left: Camera  # of a color and an infrared camera, the color camera, even if it is on the right
     right: Camera
     rotation: NDArray[np.float64]  # (3, 3), from the left camera's frame to the right one's
     translation: NDArray[np.float64]  # (3,), meters
@@ -47,7 +47,7 @@ class Rig:
         return float(np.linalg.norm(self.translation))
 
     def doubts(self, size: tuple[int, int], right_size: tuple[int, int]) -> list[str]:
-        """Return why cameras whose calibration has no size of images are probably not those of images of these."""
+        """Return why a calibration without an image size probably does not fit images of these sizes."""
         cameras = (("left", self.left, size), ("right", self.right, right_size))
         reasons = ((name, off_center(camera.intrinsics, at)) for name, camera, at in cameras if camera.size is None)
         return [f"{name} camera: {reason}" for name, reason in reasons if reason]
@@ -66,10 +66,10 @@ class Rig:
 
         Parameters
         ----------
-        size, right_size : (width, height) of the two cameras' images, which have to be those of the calibration
+        size, right_size : (width, height) of the two cameras' images, as in the calibration
         alpha : 0 keeps only what both images show, 1 all that either shows; -1 is OpenCV's choice in between
-        mirrored : the right camera may stand to the left of the left one; InputError otherwise
-        max_tilt : vertical over horizontal baseline beyond which the cameras lie one above the other, an InputError
+        mirrored : True allows the right camera to be left of the left one; otherwise this is an InputError
+        max_tilt : largest ratio of vertical to horizontal baseline; beyond it, InputError
         min_overlap : smallest share of the rectified image that both cameras must see, or InputError
         """
         for name, camera, given in (("left", self.left, size), ("right", self.right, right_size)):
@@ -122,7 +122,7 @@ class RectifiedRig:
 
     @property
     def mirrored(self) -> bool:
-        """True where the right camera stands to the left of the left one, so that matches lie to the right."""
+        """True if the right camera is left of the left one, so that matches are to the right."""
         return bool(self.projection_right[0, 3] > 0)
 
     @property

@@ -43,7 +43,7 @@ class PairGeometry:
 
     left: Intrinsics
     baseline: float  # meters
-    offset: float = 0.0  # x of the right principal point minus that of the left one (Middlebury's doffs), pixels
+    offset: float = 0.0  # right minus left principal point along x (Middlebury's doffs), pixels
     size: tuple[int, int] | None = None  # (width, height) of the images that these numbers are for, if known
 
     def __post_init__(self) -> None:
