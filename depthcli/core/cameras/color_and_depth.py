@@ -142,7 +142,8 @@ def _surface_patches(inverse: NDArray[np.float64]) -> tuple[NDArray[np.float64],
     """Return quadrilaterals that cover all known pixels of a map of inverse depth, each within one surface.
 
     Four neighboring pixel centers with samples on one surface are the corners of one
-    quadrilateral. Otherwise each sample gets a quarter of the square between them, with the slope to its neighbors on its surface.
+    quadrilateral. Otherwise each sample gets a quarter of the square between them, with the slope to its
+    neighbors on its surface.
     The result is x, y of the corners, (N, 4, 2), clockwise as the image is seen, and their inverse depth, (N, 4).
     """
     inverse = np.pad(inverse, 1, constant_values=np.nan)
@@ -191,7 +192,7 @@ def _same_surface(inverse: NDArray[np.float64], limit: float) -> NDArray[np.bool
 
 
 def _slopes(inverse: NDArray[np.float64], right: NDArray[np.bool_], sign: int) -> NDArray[np.float64]:
-    """(H, W): change along x per pixel, to the neighbor on the side ``sign`` or else to the other one; 0 if neither fits."""
+    """(H, W): change along x per pixel, to the neighbor at ``sign`` or else the other one; 0 if neither fits."""
     steps = np.pad(np.where(right, np.diff(inverse, axis=1), 0.0), ((0, 0), (1, 1)))
     known = np.pad(right, ((0, 0), (1, 1)))
     after, before = slice(1, None), slice(None, -1)
