@@ -23,7 +23,7 @@ from depthcli.evaluation.map_files import MapNaming, find_runs, names_in_run, re
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load, missing_scores, picture
 from depthcli.evaluation.scores import MapResult
 from depthcli.io.formats.files import collected_warnings, short_path, warn, write_text
-from depthcli.io.formats.images import write_png
+from depthcli.io.formats.images import write_drawn
 from depthcli.io.formats.map_format import format_plugins
 from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import Scene, layout_plugins
@@ -152,6 +152,9 @@ def can_be_missed(file: str, unwritten: dict[str, str], reporter: Reporter) -> I
     except DepthcliError as error:
         unwritten[file] = str(error)
         reporter.error(f"no {file}: {error}")
+    except Exception as error:  # a fault of drawing: the scores are right all the same
+        unwritten[file] = f"{type(error).__name__}: {error}"
+        reporter.error(f"no {file}: {unwritten[file]}; please report this line")
 
 
 def _flag_columns(report: EvaluationReport, known: Mapping[str, Mapping[str, Row]]) -> list[Row]:
@@ -361,10 +364,9 @@ class _Scoring:
         if self.output is not None:
             if points:
                 write_text(self.output / short_path(f"points/{result.run}/{result.scene}.csv"), to_csv(points))
-            if (drawn := picture(protocol, estimate, truth)) is not None:
-                write_png(self.output / result.picture, drawn)
-            if outside is not None and (drawn := picture(protocol, estimate, truth, outside)) is not None:
-                write_png(self.output / result.bound_picture, drawn)
+            write_drawn(self.output / result.picture, lambda: picture(protocol, estimate, truth))
+            if outside is not None:
+                write_drawn(self.output / result.bound_picture, lambda: picture(protocol, estimate, truth, outside))
         scored = ScoredMap(result, path, estimate, truth, confidences, bound)
         self.show(lambda viewer: viewer.add_map(scored))
         return result

@@ -36,7 +36,7 @@ from depthcli.core.frames import luma
 from depthcli.io.calibration_photos import find_photos
 from depthcli.io.formats.calibrations import UNITS, write_calibration
 from depthcli.io.formats.files import collected_warnings, remove_temporaries, write_text
-from depthcli.io.formats.images import read_color8, write_png
+from depthcli.io.formats.images import read_color8, write_drawn
 from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row, to_json
 from depthcli.show.draw import draw_text
@@ -166,7 +166,7 @@ def calibrate_cameras(
     report["warnings"] += turned[:1] + [f"so were {len(turned) - 1} other photos"] * (len(turned) > 1)
     for file in (target, report_file, picture_file):
         remove_temporaries(target.parent, file.name)
-    write_png(picture_file, _picture_of(views))
+    write_drawn(picture_file, lambda: _picture_of(views))
     write_text(report_file, to_json(report))
     write_calibration(target, calibrated.cameras, calibrated.rig.rig if calibrated.rig else None)
     use = "for depthcli rectify --calibration" if calibrated.rig else "one camera, K1 and D1"

@@ -34,7 +34,7 @@ from depthcli.evaluation.map_files import (
 )
 from depthcli.io.formats.disparity import check_sign, read_foreign_map, scale_of
 from depthcli.io.formats.files import collected_warnings
-from depthcli.io.formats.images import image_size, png_bytes, read_image, write_png
+from depthcli.io.formats.images import image_size, png_bytes, read_image, write_drawn
 from depthcli.io.formats.networks import network_path, read_errors, read_network
 from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import GivenMap, MapsScene, Scene, StereoScene, check_same_size
@@ -105,7 +105,7 @@ class MapConfidence:
     def save(self, folder: str | Path, share: float | None = None, threshold: float | None = None) -> None:
         """Write what ``depthcli confidence`` writes, the map as :meth:`kept` returns it, into a folder old or new."""
         kept, files = self.kept(share, threshold), made(folder)
-        write_png(files / "probability.png", self._picture())
+        write_drawn(files / "probability.png", self._picture)
         view = View(kept, "px", (0, self.max_disparity), bound=self.bound)
         write_disparity(view, self.status, files, self.probability)
         write_details(Result(confidence=dict(self.measures)), files)

@@ -24,7 +24,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.method import RootConfig
 from depthcli.core.volumes import Grid
 from depthcli.io.formats.files import write_text
-from depthcli.io.formats.images import png_bytes, write_png
+from depthcli.io.formats.images import png_bytes, write_drawn
 from depthcli.io.formats.networks import read_errors
 from depthcli.io.formats.volumes import simple_itk, write_volume, written_suffix
 from depthcli.io.scenes import VolumePairScene
@@ -160,7 +160,7 @@ class RegistrationConfidence:
             write_volume(files / f"{name}{suffix}", self.grid, partial(self._on_fixed_grid, values))
         if self.details.shift is not None:
             write_volume(files / f"shift{suffix}", self.grid, self._shift, vector=True)
-        write_png(files / "preview.png", self._preview())
+        write_drawn(files / "preview.png", self._preview)
         if landmarks is not None:
             reach = round(self.details.figures.get("reach", math.inf), 4)
             rows: list[Row] = list(self.at(landmarks))

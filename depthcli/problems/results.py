@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from depthcli.io.formats.calibrations import Reading, read_geometry
 from depthcli.io.formats.depth import MILLIMETERS, write_depth_png, write_points
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.files import warn, write_text
-from depthcli.io.formats.images import png_bytes, write_png
+from depthcli.io.formats.images import png_bytes, write_drawn, write_png
 from depthcli.io.formats.status import write_status
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
@@ -76,14 +77,14 @@ def write_disparity(
 def _write_preview(folder: Path, view: View) -> None:
     if view.bound is not None:
         write_pfm(folder / "bound.pfm", view.bound)
-    write_png(folder / "preview.png", draw(view, "preview"))
+    write_drawn(folder / "preview.png", lambda: draw(view, "preview"))
 
 
 def write_details(result: Result, folder: Path) -> None:
     """Write ``confidence_NAME.pfm`` and a picture of each confidence; tables as CSV; pictures as PNG, maps as PFM."""
     for name, confidence in result.confidence.items():
         write_pfm(folder / f"confidence_{name}.pfm", confidence)
-        write_png(folder / f"confidence_{name}.png", draw(View(confidence), "confidence"))
+        write_drawn(folder / f"confidence_{name}.png", partial(draw, View(confidence), "confidence"))
     for name, rows in result.tables.items():
         write_text(folder / f"{name}.csv", to_csv(rows))
     for name, picture in result.pictures.items():

@@ -169,6 +169,7 @@ def computed_scene(task: Task, work: Work, limit: int, latest: Latest | None = N
     with collected_warnings() as lines:
         try:
             task.scene.check()
+            lines += task.scene.warnings
             task.hidden.mkdir(parents=True)
             opened = os.open(task.hidden, os.O_RDONLY)  # while it is open, no other folder gets its inode number
             context = Context(limit, task.scene.name, limit, latest or Latest())

@@ -84,6 +84,8 @@ def draw_volumes(
     for k, title in enumerate((*volumes, *maps)):
         draw_text(heading, title, (k * side + side // 2, _LINE // 2 + 4), _INK, centered=True)
     sheet = np.concatenate([heading, *rows])
+    short = _LINE + 6 + 2 * _MARGIN + _SIDE - len(sheet)  # of wide slices, beside the scale
+    sheet = np.pad(sheet, ((0, max(short, 0)), (0, 0), (0, 0)), constant_values=_PAPER)
     return np.concatenate([sheet, _scale(len(sheet))], axis=1)
 
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.images import write_png
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.find import discover_scenes, named_scenes
+from depthcli.io.scenes.frames import FRAMES
 from depthcli.io.scenes.pairs import PAIRS, pairs_of_patterns, scenes_of_table
 from depthcli.io.stereo_pairs import load_views
 from tests.command_line import refused, run
@@ -95,8 +97,8 @@ def test_tables(tmp_path: Path):
         refused(InputError, said, scenes_of_table, table)
 
 
-def video(path: Path, shift: int, count: int = 5) -> Path:
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (96, 64))
+def video(path: Path, shift: int, count: int = 5, rate: float = 10) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), rate, (96, 64))
     assert writer.isOpened()
     noise = np.random.default_rng(0).integers(0, 255, (64, 160, 3)).astype(np.uint8)
     noise = cv2.GaussianBlur(noise, (0, 0), 2) * 3
@@ -127,6 +129,43 @@ def test_videos(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (tmp_path / "bad.avi").write_bytes(left.read_bytes()[:90])
     assert run("stereo", "opencv-bm", "--left", tmp_path / "bad.avi", "--right", right, "-o", tmp_path / "x") == 2
     assert "bad.avi: no video that can be decoded here" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("rate", "is_refused"), [(29.97, False), (30, False), (15, True), (25, True)])
+def test_videos_of_two_rates_are_refused(tmp_path: Path, rate: float, is_refused: bool):
+    files = {"left": video(tmp_path / "l.avi", 0, rate=30), "right": video(tmp_path / "r.avi", 6, rate=rate)}
+    if is_refused:
+        refused(ConfigError, rf"l.avi has 30 frames a second, .*r.avi {rate:g}", named_scenes, StereoScene, files)
+    else:
+        assert [scene.warnings for scene in named_scenes(StereoScene, files)] == [()] * 5
+
+
+def test_videos_of_two_lengths_are_warned_of_in_every_row(tmp_path: Path):
+    pair = ("--left", video(tmp_path / "l.avi", 0, 3), "--right", video(tmp_path / "r.avi", 6, 2))
+    assert run("stereo", "opencv-bm", *pair, "--max-disparity", "12", "-o", tmp_path / "run", "-q") == 0
+    report = json.loads((tmp_path / "run/report.json").read_text())["scenes"]
+    assert [any("l.avi has 3 frames" in line for line in row["warnings"]) for row in report] == [True, True]
+
+
+@pytest.mark.parametrize(
+    ("rights", "warned"),
+    [
+        (range(6), 0),
+        (range(5), 5),  # one dropped, the others numbered anew
+        ((0, 1, 3, 4, 5), 0),  # the gap tells which one
+        (range(1, 7), 5),
+        (range(3), 3),  # half the rate
+    ],
+)
+def test_numbered_folders_of_two_lengths_are_warned_of(tmp_path: Path, rights: Sequence[int], warned: int):
+    """Named by patterns, found in folders, and color with depth."""
+    put(tmp_path, *(f"{side}/f{k:03}.png" for side in ("left", "rgb") for k in range(6)))
+    put(tmp_path, *(f"{side}/f{k:03}.png" for side in ("right", "depth") for k in rights))
+    by_name = pairs_of_patterns(tmp_path / "left", tmp_path / "right")
+    found = [scene for scene in discover_scenes(tmp_path, PAIRS) if not scene.problem]
+    frames = [scene for scene in discover_scenes(tmp_path, FRAMES) if not scene.problem]
+    for scenes in (by_name, found, frames):
+        assert sum(any("if one was dropped" in line for line in scene.warnings) for scene in scenes) == warned
 
 
 def find(folder: Path) -> dict[str, StereoScene]:

@@ -255,6 +255,20 @@ def decode_numbers(data: bytes) -> NDArray[Any] | None:
         return pixels.astype(np.float32 if header.is_float else pixels.dtype.newbyteorder("="))
 
 
+def write_drawn(path: Path, paint: Callable[[], NDArray[Any] | None]) -> None:
+    """Write the picture that ``paint`` returns, None: nothing; warn if it cannot be drawn.
+
+    It is for eyes: the result that it shows does not need it.
+    """
+    try:
+        picture = paint()
+    except Exception as error:
+        warn(f"{path.name}: not written, as it cannot be drawn ({type(error).__name__}: {str(error)[:160]})")
+    else:
+        if picture is not None:
+            write_png(path, picture)
+
+
 def image_size(path: Path | str) -> tuple[int, int]:
     """Return height and width of an image or map by the first bytes of its file; nothing is decoded."""
     with open_regular(path) as file, naming(path):

@@ -14,6 +14,8 @@ from depthcli.io.formats.files import open_regular, shown
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 """File name endings of videos."""
 
+_RATES = (0.01, 2000.0)  # frames a second; others are made up, as no file has them
+
 _open: dict[Path, tuple[cv2.VideoCapture, int]] = {}
 """Videos that this process reads, with the number of the next frame: frames are mostly read in order."""
 
@@ -23,15 +25,19 @@ def _video(path: Path) -> cv2.VideoCapture:
     return cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
 
 
-def count_frames(path: Path) -> int:
-    """Return the number of frames in a video's header; InputError if it cannot be decoded."""
+def frames_and_rate(path: Path) -> tuple[int, float]:
+    """Return the number of frames in a video's header, and how many of them are a second; 0: it does not say.
+
+    InputError if it cannot be decoded.
+    """
     with open_regular(path):
         video = _video(path)
     count = int(video.get(cv2.CAP_PROP_FRAME_COUNT)) if video.isOpened() else 0
+    rate = float(video.get(cv2.CAP_PROP_FPS)) if count else 0.0
     video.release()
     if count < 1:
         raise InputError(f"{shown(path)}: no video that can be decoded here")
-    return count
+    return count, rate if _RATES[0] <= rate <= _RATES[1] else 0.0
 
 
 def read_frame(path: Path, number: int) -> NDArray[np.uint8]:

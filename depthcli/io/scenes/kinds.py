@@ -37,6 +37,7 @@ class Scene:
     layout: str = ""  # name of the layout that found it; empty for files named on the command line
     protocol: str = ""  # name of the evaluation protocol that its ground truth asks for
     problem: str = ""  # why the scene cannot be used, or empty
+    warnings: tuple[str, ...] = field(default=(), compare=False)  # what looks wrong with its files, a line each
     invalid: float | None = None  # number of a ground truth's map that means unknown; None: recognized, NaN: none
 
     roles: ClassVar[tuple[str, ...]] = ()  # fields with files that a method may look at

@@ -22,7 +22,7 @@ from depthcli.io.formats.disparity import KITTI_SCALE, read_disparity
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.plain_text import key_values, numbers, table_rows, text_of
-from depthcli.io.formats.videos import VIDEO_SUFFIXES, count_frames
+from depthcli.io.formats.videos import VIDEO_SUFFIXES, frames_and_rate
 from depthcli.io.scenes.kinds import MAX_DISPARITY, Scene, StereoScene
 from depthcli.io.scenes.rows import (
     Folder,
@@ -333,6 +333,7 @@ _MAX_BYTES = 1 << 28  # of a table
 _COLUMNS = ("left", "right", "name", "calibration", "max_disparity", "min_disparity")
 _WILD = re.compile(r"[*?\[]")
 _GENERIC_NAMES = ("left", "im0", "im2", "iml", "view0", "view1", "image_0", "image_2", "colored_0")  # name no scene
+_MAX_RATE_DIFFERENCE = 0.005  # of the frames a second of two videos; 30000/1001 and 30 differ by 0.001
 _MAX_FOLDERS = 8  # that are looked at for two whose images belong together
 
 
@@ -373,11 +374,26 @@ def named_pairs(values: Mapping[str, Any]) -> list[Scene]:
     if left.suffix.lower() not in VIDEO_SUFFIXES:
         return [one]
     try:
-        counts = count_frames(left), count_frames(right)
+        (count, rate), (other, other_rate) = frames_and_rate(left), frames_and_rate(right)
     except InputError as error:
         raise ConfigError(str(error)) from None
-    digits = max(6, len(str(max(counts))))
-    return [replace(one, name=f"{number:0{digits}}", frame_number=number) for number in range(min(counts))]
+    if rate and other_rate and abs(rate / other_rate - 1) > _MAX_RATE_DIFFERENCE:
+        raise ConfigError(
+            f"{left} has {rate:g} frames a second, {right} {other_rate:g}: frames of the same number are not of one "
+            "moment; bring both to one rate"
+        )
+    warnings: tuple[str, ...] = ()
+    if count != other:
+        line = (
+            f"{left} has {count} frames, {right} {other}: the last {abs(count - other)} are not used; if a frame was "
+            "dropped, all frames after it are paired with others than their own"
+        )
+        warnings = (line,)
+    digits = max(6, len(str(max(count, other))))
+    return [
+        replace(one, name=f"{number:0{digits}}", frame_number=number, warnings=warnings)
+        for number in range(min(count, other))
+    ]
 
 
 def _named(name: str, left: Path, right: Path, **values: Any) -> StereoScene:

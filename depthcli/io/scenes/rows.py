@@ -308,10 +308,14 @@ class LayoutRow(Layout):
     def scenes(self, folder: Folder) -> list[Scene]:
         scenes: dict[str, Scene] = {}
         for variant in self.files if self.alike else _possible(self, folder.names):
+            views_of: dict[str, dict[str, Path]] = {}
             for texts, views in self._pairs(folder, variant):
                 scene = self._scene(folder, variant, texts, views)
-                if scene is not None:
-                    scenes.setdefault(scene.name, scene)
+                if scene is not None and scene.name not in scenes:
+                    scenes[scene.name] = scene
+                    views_of[scene.name] = views
+            for name, line in _dropped(self._views, views_of).items():
+                scenes[name] = replace(scenes[name], warnings=(*scenes[name].warnings, line))
         return list(scenes.values())
 
     @cached_property
@@ -373,6 +377,36 @@ class LayoutRow(Layout):
         there = next(iter(views.values())) if texts else folder.path
         expected = None if absent == "right" else folder.path / name.replace(".*", ".png")
         return {"problem": f"{there}: {half}, no {name}", absent: expected}
+
+
+def _dropped(roles: tuple[str, str], scenes: Mapping[str, Mapping[str, Path]]) -> dict[str, str]:
+    """Return name -> warning of the pairs of two folders of numbered frames that differ in number, but without a gap.
+
+    A frame may have been dropped in one of them, and those after it numbered anew; a gap tells which one is missing.
+    """
+    first, second = roles
+    both = {(views[first].parent, views[second].parent) for views in scenes.values() if len(views) == 2}
+    pair_of = {folder: folders for folders in both for folder in folders}
+    groups: dict[tuple[Path, Path], list[str]] = {}
+    for name, views in scenes.items():
+        if (folders := pair_of.get(next(iter(views.values())).parent)) is not None:
+            groups.setdefault(folders, []).append(name)
+    warned: dict[str, str] = {}
+    for folders, names in groups.items():
+        files = [[scenes[name][role] for name in names if role in scenes[name]] for role in roles]
+        numbers = [[int(n[1]) for file in some if (n := re.search(r"(\d{1,15})\D*$", file.stem))] for some in files]
+        counts = [len(some) for some in files]
+        gapless = all(
+            len(some) == count > 1 and max(some) - min(some) + 1 == count
+            for some, count in zip(numbers, counts, strict=True)
+        )
+        if gapless and set(numbers[0]) != set(numbers[1]):
+            line = (
+                f"{folders[0]}: {counts[0]} {first} and {counts[1]} {second} images: if one was dropped and the rest "
+                "numbered anew, all frames after it are paired with others than their own"
+            )
+            warned |= {name: line for name in names if len(scenes[name]) == 2}
+    return warned
 
 
 def _name(folder: Folder, name: str, texts: Texts) -> str:
