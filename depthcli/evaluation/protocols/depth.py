@@ -82,7 +82,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
 
     kind = RgbdScene
     read_truth = staticmethod(true_depth)
-    files = MapFiles(("{scene}/depth", "{scene}"), (".pfm", ".npy", ".npz", ".png", ".pgm", ".tif", ".tiff"))
+    files = MapFiles(("{scene}/depth", "{scene}"), (".pfm", ".npy", ".npz", ".exr", ".png", ".pgm", ".tif", ".tiff"))
     presentation = Presentation(
         title="Depth: mean absolute error, mm; estimated pixels only",
         unit="mm",

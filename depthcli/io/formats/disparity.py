@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
+from depthcli.io.formats.exr import read_exr
 from depthcli.io.formats.files import naming, open_regular, read_bytes, shown, warn, write_bytes
 from depthcli.io.formats.images import NPY_MAGIC, decode_numbers, image_kind, pfm_header, png_bytes, read_grey
 from depthcli.io.formats.map_format import read_by_plugin
@@ -218,7 +219,9 @@ def read_plane(path: Path | str) -> NDArray[Any]:
     with naming(path):
         if data.startswith((NPY_MAGIC, _NPZ_MAGIC)):
             return _decode_npy(data, path)
-        if image_kind(data) == "Pfm":
+        if (kind := image_kind(data)) == "Exr":
+            return read_exr(path)
+        if kind == "Pfm":
             return _decode_pfm(data, path)
         numbers = decode_numbers(data)
         return read_grey(path) if numbers is None else numbers

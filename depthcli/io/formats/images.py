@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image as Image
 from depthcli.core.frames import StereoPair, color8, luma
+from depthcli.io.formats.exr import EXR_MAGIC, exr_size
 from depthcli.io.formats.files import naming, open_regular, read_bytes, shown, warn, write_bytes
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ _KINDS = {
     "Bmp": (b"BM",),
     "Pfm": (b"Pf", b"PF"),
     "Npy": (NPY_MAGIC,),
+    "Exr": (EXR_MAGIC,),
 }
 _PNM_HEADER = re.compile(rb"P\d(?:\s|#[^\n]*\n)+" + rb"(\d{1,9})(?:\s|#[^\n]*\n)+" * 2 + rb"(\d{1,9})\s")
 # Comment lines, as some programs write them, may be between the numbers.
@@ -123,7 +125,7 @@ def decode_image(data: bytes) -> Image:
 def _decoded(data: bytes) -> tuple[Image, int]:
     # The upright image, and the EXIF orientation that it was stored in, where that is another one; else 0.
     kind, turn = image_kind(data), 0
-    if kind in ("Pfm", "Npy"):
+    if kind in ("Pfm", "Npy", "Exr"):
         raise InputError(f"a map of numbers ({kind.lower()}), expected an image")
     if kind == "Pnm":
         return _decode_pnm(data), turn
@@ -277,6 +279,8 @@ def image_size(path: Path | str) -> tuple[int, int]:
         file.seek(0)
         if kind in ("Pnm", "Pfm"):
             return (pnm_header if kind == "Pnm" else pfm_header)(data)[0][:2]
+        if kind == "Exr":
+            return exr_size(path)
         with _decoding(kind):
             if kind == "Npy":
                 shape = tuple(n for n in np.load(path, mmap_mode="r").shape if n > 1) or (1, 1)
@@ -368,9 +372,9 @@ def image_kind(data: bytes) -> str:
     for kind, magics in _KINDS.items():
         if data.startswith(magics):
             return kind
-    if data.startswith(b"\x76\x2f\x31\x01"):
-        raise InputError("an OpenEXR image, which is not read; convert it to PFM, npy or a 16-bit PNG")
-    raise InputError("not a PNG, JPEG, PGM, PPM, TIFF or BMP image, nor a PFM or npy map" if data else "empty file")
+    raise InputError(
+        "not a PNG, JPEG, PGM, PPM, TIFF or BMP image, nor a PFM, npy or EXR map" if data else "empty file"
+    )
 
 
 def pnm_header(data: bytes) -> tuple[tuple[int, int, int], int, int]:

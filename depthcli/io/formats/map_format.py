@@ -16,7 +16,7 @@ from depthcli.core.registry import Registry, registered_name
 from depthcli.io.formats.files import open_regular, shown
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 
-MAP_SUFFIXES = (".pfm", ".npy", ".npz", *IMAGE_SUFFIXES)
+MAP_SUFFIXES = (".pfm", ".npy", ".npz", ".exr", *IMAGE_SUFFIXES)
 """File name endings of the maps that this package reads itself, most exact first."""
 
 
