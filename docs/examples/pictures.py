@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Draw the pictures of the documentation, docs/static/*.png, from generated scenes.
+"""Draw the pictures of the documentation, docs/static/*.png, from a real pair and generated scenes.
 
     docs/examples/pictures.py [--check] [--only NAME,NAME]
 
@@ -27,12 +27,17 @@ from PIL import Image
 
 mpl.use("agg")
 import matplotlib.pyplot as plt
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.patches import Patch
 
 import depthcli
 from depthcli.cli import main as run
+from depthcli.show.draw import KIND_COLORS
 
 FOLDER = _env.ROOT / "docs" / "static"
 SCRATCH = tempfile.TemporaryDirectory()
+DPI = 180
 TOLERANCE = 3.0  # levels of 255, mean: fonts and rounding of other machines
 PICTURES: dict[str, Callable[[], Any]] = {}  # name of the file -> function that returns a figure or RGB levels
 Shown = NDArray[Any]
@@ -67,8 +72,16 @@ def read(file: Path) -> Shown:
     return values[..., ::-1].copy() if values.ndim == 3 else values
 
 
-def panels(columns: Sequence[tuple[Any, ...]], ranges: Sequence[tuple[Any, Any, str]] = (), width: float = 9.0) -> Any:
-    """Return a figure with a column for each (title, image or map, ...), and a row for each (low, high, colors)."""
+def panels(
+    columns: Sequence[tuple[Any, ...]],
+    ranges: Sequence[tuple[Any, Any, str]] = (),
+    width: float = 9.0,
+    units: Sequence[str] = (),
+) -> Any:
+    """Return a figure with a column for each (title, image or map, ...), and a row for each (low, high, colors).
+
+    Rows with a unit have a color bar. Pixels without a value are black.
+    """
     rows, lines = len(columns[0]) - 1, max(title.count("\n") + 1 for title, *_ in columns)
     height, wide = columns[0][1].shape[:2]
     size = (width, rows * ((width / len(columns) - 0.083) * height / wide + 0.083) + 0.14 + 0.15 * lines)
@@ -76,11 +89,26 @@ def panels(columns: Sequence[tuple[Any, ...]], ranges: Sequence[tuple[Any, Any, 
     for k, (title, *shown) in enumerate(columns):
         axes[0, k].set_title(title, fontsize=9)
         for axis, values, (low, high, colors) in zip(axes[:, k], shown, ranges or [(0, 255, "gray")], strict=True):
-            scale = plt.get_cmap(colors).with_extremes(bad="black" if colors != "turbo" else "white")
+            scale = plt.get_cmap(colors).with_extremes(bad="black")
             axis.imshow(values if values.ndim == 3 else np.ma.masked_invalid(values), scale, vmin=low, vmax=high)
             axis.set_axis_off()
             axis.set_anchor("S")  # room that is left over is above the title
+    for row, unit, (low, high, colors) in zip(axes, units, ranges, strict=False):
+        if unit:
+            colored = ScalarMappable(Normalize(low, high), colors)
+            figure.colorbar(colored, ax=list(row), label=unit, shrink=0.9, pad=0.01, aspect=16)
     return figure
+
+
+def error_legend(figure: Any) -> None:
+    """Add the colors of error pictures below a figure."""
+    names = {"correct": "blue", "incorrect": "orange", "occluded, correct": "grey", "occluded, incorrect": "purple",
+             "no value": "black", "no ground truth": "white"}  # fmt: skip
+    colors = {name: dark for name, _, dark in KIND_COLORS}
+    patches = [
+        Patch(facecolor=colors[color], edgecolor="black", linewidth=0.4, label=name) for name, color in names.items()
+    ]
+    figure.legend(handles=patches, loc="outside lower center", ncols=len(patches), fontsize=7, frameon=False)
 
 
 def scene(*words: str) -> tuple[Shown, Shown, Shown, Shown]:
@@ -95,26 +123,26 @@ def scene(*words: str) -> tuple[Shown, Shown, Shown, Shown]:
 
 def maps(found: dict[str, Shown], truth: Shown, pixels: Shown) -> Any:
     """Return a figure of disparity maps, with the percentage of these pixels that are wrong."""
-    columns = [(f"{title}\n{wrong(values, truth, pixels):.1f} % wrong", values) for title, values in found.items()]
-    return panels(columns, [(truth.min() - 3, truth.max(), "turbo")], 2.9 * len(columns))
+    columns = [(f"{title}\n{wrong(values, truth, pixels):.1f} % incorrect", values) for title, values in found.items()]
+    return panels(columns, [(truth.min() - 3, truth.max(), "turbo")], 3.1 * len(columns), ["disparity, px"])
 
 
 def wrong(values: Shown, truth: Shown, pixels: Shown) -> float:
-    """Return the percentage of pixels that are off by more than 1, or have no value."""
+    """Return the percentage of pixels that are off by more than 1 pixel, or have no value."""
     return float(100 * np.mean(~(np.abs(values - truth) <= 1)[pixels]))
 
 
 def encoded(drawn: Any) -> bytes:
-    """Return a figure or an array as a small PNG of at most 192 colors."""
+    """Return a figure or an array as a PNG in full color."""
+    small = io.BytesIO()
     if isinstance(drawn, np.ndarray):
         image = Image.fromarray(drawn)
     else:
         file = io.BytesIO()
-        drawn.savefig(file, dpi=90)
+        drawn.savefig(file, dpi=DPI)
         plt.close(drawn)
         image = Image.open(file).convert("RGB")
-    small = io.BytesIO()
-    image.quantize(192, Image.Quantize.MEDIANCUT, kmeans=2, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
+    image.save(small, "PNG", optimize=True)
     return small.getvalue()
 
 
@@ -147,22 +175,26 @@ def main() -> None:
         sys.exit("\n".join([*problems, "docs/examples/pictures.py draws them again"]))
 
 
+@functools.cache
+def real_pair() -> tuple[Shown, Shown, Shown]:
+    """Return both views and the true disparities of the real pair of ``depthcli sample --real``."""
+    folder = sample("--real") / "Motorcycle"
+    return read(folder / "left.png"), read(folder / "right.png"), read(folder / "disp_left.pfm")
+
+
 @picture
-def overview() -> Shown:
-    """Left image, map of ``accurate``, its errors, and those of OpenCV's SGBM."""
-    look = ("--kind", "foreground", "--seed", "3", "--noise", "2", "--radiometric", "0.1")
-    scenes = sample("-n", "1", *look, "--width", "320", "--height", "240")
-    (folder,) = scenes.glob("foreground_*")
-    left, right = read(folder / "left.png"), read(folder / "right.png")
-    truth, truth_right = read(folder / "disp_left.pfm"), read(folder / "disp_right.pfm")
-    shown = [left]
+def overview() -> Any:
+    """The real pair: left image, map of ``accurate``, its errors, and those of OpenCV's SGBM."""
+    left, right, truth = real_pair()
+    known, errors = np.isfinite(truth), []
     for preset in ("accurate", "opencv-sgbm"):
-        found = depthcli.stereo(left, right, 64, preset)
+        found = depthcli.stereo(left, right, 70, preset)
+        scores = depthcli.evaluate(found, truth)
+        title = "OpenCV's SGBM" if preset == "opencv-sgbm" else f"stereo {preset}"
+        errors.append((f"{title}: {wrong(found.values, truth, known):.1f} % incorrect", scores.picture))
         if preset == "accurate":
-            shown.append((255 * plt.get_cmap("turbo")(found.values / truth.max())[..., :3]).round().astype(np.uint8))
-        shown.append(depthcli.evaluate(found, truth, truth_right=truth_right).picture)
-    gap = np.full((240, 6, 3), 255, np.uint8)
-    return np.hstack([part for each in shown for part in (each, gap)][:-1])
+            columns = [("left image", left), ("disparities of stereo accurate", found.values)]
+    return panels([*columns, *errors], [(np.nanmin(truth), np.nanmax(truth), "turbo")], 13.0, ["disparity, px"])
 
 
 if __name__ == "__main__":

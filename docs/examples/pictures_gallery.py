@@ -15,7 +15,7 @@ from _docs_examples import environment
 from pictures import SCRATCH, Shown, picture
 from PIL import Image
 
-DPI = 65
+DPI = 130
 
 
 def drawn_by(script: Path) -> Shown:

@@ -8,7 +8,7 @@ import cv2
 import matplotlib.pyplot as plt
 import numpy as np
 import SimpleITK
-from pictures import command, maps, panels, picture, read, sample, scene
+from pictures import command, error_legend, maps, panels, picture, read, sample, scene
 
 import depthcli
 from depthcli.show.draw import draw, draw_text
@@ -107,7 +107,7 @@ def kinect_faults() -> Any:
     for mask, shade in zip(masks, ((70, 130, 230), (230, 90, 40), (190, 190, 190)), strict=True):
         kinds[mask] = shade
     columns = [("color", color), ("true disparity", FB / truth), ("measured", FB / depth), ("kinds of fault", kinds)]
-    return panels(columns, [(0, 48, "turbo")])
+    return panels(columns, [(0, 48, "turbo")], 10.0, ["disparity, px"])
 
 
 @picture
@@ -120,7 +120,8 @@ def kinect_probability() -> Any:
         return FB / refined, np.abs(FB / refined - FB / truth)
 
     columns = comparison((0.1, 0.5, 0.8), compute, "min_probability", "px", masks)
-    return panels(columns, [(*np.nanpercentile(FB / truth, (1, 99)), "turbo"), (0, 5, "magma")])
+    spans = [(*np.nanpercentile(FB / truth, (1, 99)), "turbo"), (0, 5, "magma")]
+    return panels(columns, spans, 9.0, ["disparity, px", "error, px"])
 
 
 def glass() -> tuple[Any, ...]:
@@ -136,7 +137,7 @@ def glass_input() -> Any:
     dots = cv2.dilate(np.nan_to_num(sparse), np.ones((2, 2)))
     dots[dots == 0] = np.nan
     columns = [("color", color), ("sensor", sensor), ("sparse samples (enlarged)", dots), ("truth", truth)]
-    return panels(columns, [(*np.nanpercentile(truth, (1, 99)), "turbo_r")])
+    return panels(columns, [(*np.nanpercentile(truth, (1, 99)), "turbo_r")], 10.0, ["depth, m"])
 
 
 @picture
@@ -151,7 +152,8 @@ def glass_outline() -> Any:
 
     masks = inside, ~inside & np.isfinite(sensor)
     columns = comparison((5, 50), compute, "outline", "mm in the glass, elsewhere", masks)
-    return panels(columns, [(*np.nanpercentile(truth, (1, 99)), "turbo_r"), (0, 200, "magma")], 5.6)
+    spans = [(*np.nanpercentile(truth, (1, 99)), "turbo_r"), (0, 200, "magma")]
+    return panels(columns, spans, 6.4, ["depth, m", "error, mm"])
 
 
 @picture
@@ -198,12 +200,12 @@ def confidence_order() -> Any:
     names = ["pkr", "lrc", "da"]
     found = depthcli.stereo(left, right, N_DISPARITIES, "fast", {**WINDOW, "refinement": []}, confidence=names)
     right_pixels = np.abs(found.values - truth) <= 1
-    columns: list[Any] = [("wrong (black)", right_pixels.astype(float))]
+    columns: list[Any] = [("incorrect (black)", right_pixels.astype(float))]
     for name in names:
         ordered = np.sort(found.confidence[name], axis=None)
         ends = (np.searchsorted(ordered, found.confidence[name], side) for side in ("left", "right"))
         columns.append((name, sum(ends) / (2 * ordered.size)))
-    return panels(columns, [(0, 1, "gray")])
+    return panels(columns, [(0, 1, "gray")], 10.0, ["rank; 1: most certain"])
 
 
 @picture
@@ -216,8 +218,8 @@ def confidence_kept() -> Any:
     for share in (100, 90, 70):
         kept = sure >= np.percentile(sure, 100 - share)
         shown = np.where(kept, found.values, np.nan)
-        columns.append((f"surest {share} %\n{100 * bad[kept].mean():.2f} % of them wrong", shown))
-    return panels(columns, [(truth.min() - 3, truth.max(), "turbo")])
+        columns.append((f"most certain {share} %\n{100 * bad[kept].mean():.2f} % of them incorrect", shown))
+    return panels(columns, [(truth.min() - 3, truth.max(), "turbo")], 9.5, ["disparity, px"])
 
 
 def volumes() -> tuple[Any, Any, Any, Any, Any]:
@@ -234,7 +236,8 @@ def slices(columns: Sequence[tuple[str, Any, str, float]]) -> Any:
     for axis, (title, values, colors, top) in zip(axes, columns, strict=True):
         shown = axis.imshow(values, colors, vmin=0, vmax=top)
         axis.set_title(title, fontsize=9)
-        axis.set_axis_off()
+        axis.set_facecolor("black")
+        axis.set(xticks=[], yticks=[])
     figure.colorbar(shown, ax=axes, shrink=0.75, label="mm")
     return figure
 
@@ -312,7 +315,9 @@ def thresholds() -> Any:
         scores = depthcli.evaluate(found, truth, threshold=threshold, truth_right=other)
         shares = ", ".join(f"{name} {value:.1f}" for name, value in scores.headline.items())
         columns.append((f"threshold {threshold} px\n{shares} %", scores.picture))
-    return panels(columns)
+    figure = panels(columns)
+    error_legend(figure)
+    return figure
 
 
 @picture
@@ -332,7 +337,10 @@ def sparsification() -> Any:
     axis.plot(share, 100 * np.cumsum(bad) / np.arange(1, bad.size + 1), "k--", lw=1, label=f"best: {100 * best:.1f} %")
     axis.axhline(100 * e, color="gray", ls=":", lw=1, label=f"random: {100 * e:.1f} %")
     axis.set(
-        xlabel="share of the pixels kept, the surest first", ylabel="bad pixels, %", xlim=(0, 1), ylim=(0, 130 * e)
+        xlabel="share of the pixels kept, the most certain first",
+        ylabel="bad pixels, %",
+        xlim=(0, 1),
+        ylim=(0, 130 * e),
     )
     axis.legend(fontsize=8)
     return figure

@@ -7,45 +7,49 @@ from typing import Any
 
 import cv2
 import numpy as np
-from pictures import SCRATCH, Shown, command, panels, picture, read, sample, wrong
+from pictures import SCRATCH, Shown, command, error_legend, panels, picture, read, real_pair, sample, wrong
 
 import depthcli
 
+FILES = ("left.png", "right.png", "disp_left.pfm", "disp_right.pfm")
 SMALL = ("--width", "240", "--height", "180", "--max-disparity", "32")
 
 
-def with_errors(preset: str, other: str, *words: str) -> Any:
-    """Return image and truth, then map and errors of two presets, of a generated scene."""
-    (folder,) = (each for each in sample("-n", "1", *words).iterdir() if each.is_dir())
-    left, right = read(folder / "left.png"), read(folder / "right.png")
-    truth, truth_right = read(folder / "disp_left.pfm"), read(folder / "disp_right.pfm")
-    columns = [("image and truth", left, colored(truth, truth))]
-    for name in (preset, other):
+def with_errors(left: Shown, right: Shown, truth: Shown, presets: tuple[str, str], other: Shown | None = None) -> Any:
+    """Return image and truth, then map and errors of two presets."""
+    columns = [("image and ground truth", left, truth)]
+    for name in presets:
         found = depthcli.stereo(left, right, int(np.nanmax(truth)) + 2, name)
-        scores = depthcli.evaluate(found, truth, truth_right=truth_right)
-        columns.append((f"{name}: map and errors", colored(found.values, truth), scores.picture))
-    return panels(columns, [(0, 255, "gray")] * 2, 7.5)
-
-
-def colored(values: Shown, truth: Shown) -> Shown:
-    """Return a map in the colors of ``preview.png``."""
-    low, high = np.nanpercentile(truth, (0.5, 99.5))
-    levels = (255 * np.clip((np.nan_to_num(values, nan=low) - low) / (high - low), 0, 1)).astype(np.uint8)
-    shown = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)[..., ::-1].copy()
-    shown[~np.isfinite(values)] = 0
-    return shown
+        scores = depthcli.evaluate(found, truth, truth_right=other)
+        share = wrong(found.values, truth, np.isfinite(truth))
+        columns.append((f"{name}: {share:.1f} % incorrect", found.values, scores.picture))
+    # The truth is in the second row, with the errors of the others: two ranges of the same map.
+    span = (*np.nanpercentile(truth, (0.5, 99.5)), "turbo")
+    figure = panels(columns, [span, span], 9.0, ["disparity, px", "disparity, px"])
+    error_legend(figure)
+    return figure
 
 
 @picture
 def tutorial() -> Any:
-    """The scene of the tutorial by both of its methods."""
-    return with_errors("accurate", "opencv-sgbm", "--kind", "foreground", "--noise", "2", "--radiometric", "0.1")
+    """The real pair by both methods of the tutorial."""
+    return with_errors(*real_pair(), ("accurate", "opencv-sgbm"))
 
 
 @picture
 def evaluate() -> Any:
     """Maps of two methods and their errors."""
-    return with_errors("fast", "opencv-bm", "--kind", "curved", *SMALL, "--noise", "4")
+    (folder,) = (
+        each for each in sample("-n", "1", "--kind", "curved", *SMALL, "--noise", "4").iterdir() if each.is_dir()
+    )
+    left, right, truth, other = (read(folder / name) for name in FILES)
+    return with_errors(left, right, truth, ("fast", "opencv-bm"), other)
+
+
+def depths(color: Shown, found: dict[str, Shown], truth: Shown, width: float) -> Any:
+    """Return a figure of a color image and depth maps, near values red."""
+    span = (*np.nanpercentile(truth, (0.5, 99.5)), "turbo_r")
+    return panels([("color", color), *found.items()], [span], width, ["depth, m"])
 
 
 @picture
@@ -54,8 +58,7 @@ def rig() -> Any:
     (folder,) = (each for each in sample("-n", "1", "--kind", "foreground").iterdir() if each.is_dir())
     left, right = read(folder / "left.png"), read(folder / "right.png")
     depth = depthcli.stereo(left, right, 48, "accurate").to_depth(focal=420.0, baseline=0.12).values
-    near = 1 / depth
-    return panels([("left image", left), ("depth: red near, blue far", colored(near, near))], width=5.5)
+    return depths(left, {"depth": depth}, depth, 6.5)
 
 
 @picture
@@ -63,9 +66,8 @@ def kinect() -> Any:
     """Color, sensor and result of ``refine-kinect accurate``."""
     folder = sample("--kinect", *SMALL[:4], "--frames", "0", "--seed", "6") / "foreground"
     color, depth = read(folder / "color.png"), read(folder / "depth.pfm")
-    near = 1 / depthcli.refine_depth(color, depth, "accurate").values
-    columns = [("color", color), ("depth of the sensor", colored(1 / depth, near)), ("refined", colored(near, near))]
-    return panels(columns, width=7.5)
+    refined = depthcli.refine_depth(color, depth, "accurate").values
+    return depths(color, {"depth of the sensor": depth, "refined": refined}, refined, 8.5)
 
 
 @picture
@@ -74,10 +76,9 @@ def glass() -> Any:
     scenes = sample("--transparent", *SMALL[:4], "--seed", "21")
     folder, run = scenes / "glass_21", Path(mkdtemp(dir=SCRATCH.name))
     command("transparent", "sparse", "--input", scenes, "--scenes", "glass_21", "--output", run)
-    truth = 1 / read(folder / "depth_true.pfm")
-    files = {"sensor": folder / "depth.pfm", "completed": run / "glass_21" / "depth.pfm"}
-    found = {name: colored(1 / read(file), truth) for name, file in files.items()}
-    return panels([("color", read(folder / "color.png")), *found.items(), ("truth", colored(truth, truth))])
+    truth = read(folder / "depth_true.pfm")
+    found = {"depth of the sensor": read(folder / "depth.pfm"), "completed": read(run / "glass_21" / "depth.pfm")}
+    return depths(read(folder / "color.png"), found | {"ground truth": truth}, truth, 10.0)
 
 
 def pair(*words: str) -> tuple[Shown, Shown, Shown]:
@@ -105,9 +106,9 @@ def fault(wrong_map: Shown, right_map: Shown, titles: tuple[str, str], truth: Sh
     """Return a figure of images, the map with the fault and the map without it; with a truth, how much is wrong."""
     columns = list(images)
     for title, values in zip(titles, (wrong_map, right_map), strict=True):
-        share = "" if truth is None else f": {wrong(values, truth, np.isfinite(truth)):.1f} % wrong"
+        share = "" if truth is None else f"\n{wrong(values, truth, np.isfinite(truth)):.1f} % incorrect"
         columns.append((title + share, values))
-    return panels(columns, [(0, 32, "turbo")], 2.8 * len(columns))
+    return panels(columns, [(0, 32, "turbo")], 2.8 * len(columns) + 0.5, ["disparity, px"])
 
 
 @picture
@@ -177,8 +178,9 @@ def wrong_dark() -> Any:
     found = {
         "adjust: []": match(*one, adjust=[]), "adjust: [noise]": match(*one), "and the mean of 16 frames": match(*mean)
     }  # fmt: skip
-    columns = [(f"{name}\n{wrong(values, truth, truth > 0):.1f} % wrong", values) for name, values in found.items()]
-    return panels([("left image,\n12 times brighter", one[0]), *columns], [(0, 32, "turbo")])
+    columns = [(f"{name}\n{wrong(values, truth, truth > 0):.1f} % incorrect", values) for name, values in found.items()]
+    shown = [("left image,\n12 times brighter", one[0]), *columns]
+    return panels(shown, [(0, 32, "turbo")], 10.0, ["disparity, px"])
 
 
 @picture
@@ -234,7 +236,7 @@ def wrong_steps() -> Any:
     floor = np.s_[135:180, 60:150]
     whole = match(left, right, refinement=["left_right_check", "background_fill"])
     columns = [("whole pixels", whole[floor]), ("subpixel", good()[floor])]
-    return panels(columns, [(17, 27, "turbo")], 5.6)
+    return panels(columns, [(17, 27, "turbo")], 6.1, ["disparity, px"])
 
 
 @picture

@@ -26,13 +26,13 @@ class SquaredDifference(CostMeasure):
             costs[:, d:, d] = np.minimum((left[:, d:] - right[:, : left.shape[1] - d]) ** 2, self.truncation)
         return CostVolume(costs)
 ''')
-subprocess.run(["depthcli", "sample", "--output", "own_cost/scenes", "--count", "1", "--quiet"], check=True)
+subprocess.run(["depthcli", "sample", "--real", "--output", "own_cost/scenes", "--quiet"], check=True)
 command = "depthcli stereo fast --input own_cost/scenes --plugin own_cost/squared_difference.py --output own_cost/run"
 settings = "--set cost=squared_difference --set optimization.p1=100 --set optimization.p2=400 --evaluate"
 print(subprocess.run(f"{command} {settings}".split(), check=True, capture_output=True, text=True).stdout)
 
 figure, axes = plt.subplots(1, 2, figsize=(8, 3), layout="constrained")
-for axis, name in zip(axes, ("scenes/planes_0/left.png", "run/planes_0/preview.png"), strict=True):
+for axis, name in zip(axes, ("scenes/Motorcycle/left.png", "run/Motorcycle/preview.png"), strict=True):
     axis.imshow(cv2.imread(f"own_cost/{name}")[..., ::-1])
     axis.set(title=name, xticks=[], yticks=[])
 plt.show()

@@ -13,12 +13,12 @@ def run(command: str) -> None:
     subprocess.run(command.split(), check=True, stdout=subprocess.DEVNULL)
 
 
-run("depthcli sample --output point_cloud/scenes --count 1 --kind curved --max-disparity 48 --quiet")
+run("depthcli sample --real --output point_cloud/scenes --quiet")
 run("depthcli stereo accurate --input point_cloud/scenes --output point_cloud/run")
-run("depthcli depth point_cloud/run --output point_cloud/depth --ply --mask measured --focal 400 --baseline 0.1")
+run("depthcli depth point_cloud/run --output point_cloud/depth --ply --mask measured --far 5")
 
 # A PLY file: a header in plain text, then x, y, z as float32 and three bytes of color for each point.
-with open("point_cloud/depth/curved_0/points.ply", "rb") as file:
+with open("point_cloud/depth/Motorcycle/points.ply", "rb") as file:
     header = list(iter(lambda: file.readline().decode().strip(), "end_header"))
     point = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("color", "u1", 3)]
     cloud = np.frombuffer(file.read(), point)
