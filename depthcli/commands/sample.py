@@ -1,4 +1,4 @@
-"""Generate scenes with exact ground truth, or write a real one.
+"""Write scenes with ground truth, generated or real.
 
 By default the scenes are stereo pairs. Options of another kind of scenes are errors. ``--real`` downloads nothing: the
 pair is part of scikit-image.
