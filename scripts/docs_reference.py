@@ -24,7 +24,7 @@ from depthcli import testing
 from depthcli.cli import command_of
 from depthcli.commands import config_model, grouped_names, help_of
 from depthcli.core.errors import EXIT_CODES
-from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
+from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP, VOLUME_STATUS_HELP
 from depthcli.core.method import Family
 from depthcli.evaluation import protocols
 from depthcli.evaluation.evaluate import RESULTS
@@ -37,6 +37,7 @@ from depthcli.methods.confidence import measures as confidence_measures
 from depthcli.methods.registration.search import MEASURES
 from depthcli.problems import PROBLEMS
 from depthcli.report import terms
+from depthcli.run.folder import LEGEND_FILE
 from depthcli.run.presets import find_config, list_presets
 from depthcli.run.records import REPORT_FILES
 
@@ -57,13 +58,15 @@ OUTPUTS = {
     "In every run folder": {
         RUN_FILE: "the config with all values, versions and seed; itself a config",
         ", ".join(REPORT_FILES): "a row for every scene: status, seconds, memory; see Columns of tables",
+        LEGEND_FILE: "the codes of status.png, and a line of code that selects the measured pixels",
         "SCENE/record.json": "inputs and files of a scene, by their digests: by it a run is resumed",
     },
     "In the folder of a scene": {
         "stereo, fuse": f"{MAPS}; with --bound also bound.pfm, probability.pfm",
         "confidence": f"bound.pfm, probability.*, {MAPS}",
         "refine-kinect, transparent, depth": f"{DEPTH}, probability.pfm, confidence_*, points.ply",
-        "register-confidence": "confidence.*, expected_error.*, bound.*, probability.*, shift.*, preview.png, "
+        "register-confidence": "confidence.*, expected_error.*, bound.*, status.*, probability.*, shift.*, "
+        "preview.png, "
         "points.csv",
         "rectify": "left.png, right.png, calib.txt, meta.json",
         "sample": "*.png, *.pfm, *.nii.gz, meta.json, calib.json",
@@ -71,6 +74,7 @@ OUTPUTS = {
     "In the folder of an evaluation": {"evaluate": ", ".join(RESULTS)},
     "Disparity maps": {str(int(bit)): text for bit, text in STATUS_HELP.items()},
     "Depth maps": {str(int(bit)): text for bit, text in DEPTH_STATUS_HELP.items()},
+    "Registrations (status.nii.gz)": {str(int(bit)): text for bit, text in VOLUME_STATUS_HELP.items()},
     "Exit codes": {str(code): text for code, text in EXIT_CODES.items()},
 }
 REFERENCE = _env.ROOT / "docs" / "reference"

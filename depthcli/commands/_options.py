@@ -125,7 +125,7 @@ class DepthOptions:
     depth_scale: float | None = option(None, metavar="CODES", help="Codes a meter of the depth files.")
     intrinsics: str | None = option(None, metavar="NUMBERS", help="Of the color camera, pixels: fx,fy,cx,cy.")
     ply: bool = option(False, "--ply", help="Also write a colored point cloud of every frame.")
-    mask: str | None = option(None, metavar="WHICH", help="Pixels of clouds: all, measured, confident:0.8.")
+    mask: str | None = option(None, metavar="WHICH", help="Pixels of clouds: measured, all, confident:0.8.")
     near: float | None = option(None, metavar="METERS", help="Nearest depth of point clouds.")
     far: float | None = option(None, metavar="METERS", help="Farthest depth of point clouds.")
     max_bound: float | None = option(None, metavar="METERS", min=0, help="Largest bound of the error in point clouds.")

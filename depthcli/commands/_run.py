@@ -18,7 +18,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.memory import BASE_BYTES
 from depthcli.core.text import one_line, show_bytes, summarized
 from depthcli.core.yaml_source import to_yaml
-from depthcli.io.formats.status import write_legend
+from depthcli.io.formats.status import write_codes
 from depthcli.io.scenes import Scene, SequenceScene, find
 from depthcli.io.scenes.places import local, origin
 from depthcli.io.scenes.rows import Layouts
@@ -142,7 +142,7 @@ def run_job(
         reporter.error(line)
     failed = [row for row in rows if row["status"] == "failed"]
     if job.shown.palette is not None and len(failed) < len(rows):
-        write_legend(options.output / LEGEND_FILE, job.shown.palette, job.shown.legend)
+        write_codes(options.output / LEGEND_FILE, job.shown.palette, job.shown.legend)
     evaluation = None
     if (options.evaluate or options.html) and not elsewhere:
         evaluation = evaluated(job, scenes, rows, options, source)

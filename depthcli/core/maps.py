@@ -27,8 +27,9 @@ class _Flags(IntFlag):
 class Status(_Flags):
     """Reason why a pixel has no value (NaN), or how its value was changed.
 
-    ``OCCLUDED`` to ``NO_DATA`` are reasons why the matcher measured no reliable value. ``FILLED`` and ``SMOOTHED``
-    describe a value that is there; a filled pixel keeps its reason: ``OCCLUDED | FILLED``.
+    ``OCCLUDED`` to ``NO_DATA`` are reasons why the matcher measured no reliable value. ``FILLED`` describes a value
+    that is there; a filled pixel keeps its reason: ``OCCLUDED | FILLED``. ``SMOOTHED`` serves the steps of a method:
+    results and files lack it, so that 0 selects the measured pixels.
     """
 
     MEASURED = 0
@@ -43,7 +44,8 @@ class Status(_Flags):
 class DepthStatus(_Flags):
     """How a pixel of a sensor's depth map was changed; ``KEPT`` alone: measured and unchanged (or smoothed).
 
-    At most one of the bits up to ``EMPTY`` is set; ``SMOOTHED`` and ``SAMPLED`` are additional information.
+    At most one of the bits up to ``EMPTY`` is set; ``SAMPLED`` is additional information. ``SMOOTHED`` serves the steps
+    of a method: results and files lack it.
     """
 
     KEPT = 0
@@ -56,6 +58,13 @@ class DepthStatus(_Flags):
     SAMPLED = 64  # filled or replaced, and a second measurement of the same pixel (stereo) agrees
 
 
+class VolumeStatus(_Flags):
+    """What is known of a voxel of a registration."""
+
+    BOUNDED = 0
+    OPEN_BOUND = 1
+
+
 STATUS_HELP = {
     Status.MEASURED: "measured",
     Status.OCCLUDED: "occluded",
@@ -63,23 +72,32 @@ STATUS_HELP = {
     Status.OUT_OF_RANGE: "out of the search range",
     Status.NO_DATA: "no data",
     Status.FILLED: "filled: the value was put in from around; the reason's bit stays set",
-    Status.SMOOTHED: "smoothed: a filter changed the value",
 }
 """Bit -> meaning for a pixel of a disparity map."""
 
 DEPTH_STATUS_HELP = {
-    DepthStatus.KEPT: "kept: the sensor's value",
+    DepthStatus.KEPT: "kept: the sensor's value, which may be smoothed",
     DepthStatus.GAP_FILLED: "gap filled: the sensor has no value here",
     DepthStatus.CORRECTED: "corrected: the sensor's value was judged wrong and replaced",
     DepthStatus.FALLBACK: "filled from around: the model has no value either",
     DepthStatus.CARRIED: "carried over from earlier frames",
     DepthStatus.EMPTY: "no value",
-    DepthStatus.SMOOTHED: "smoothed: a filter changed the value, or it lies between the samples of a depth map "
-    "smaller than the color image",
     DepthStatus.SAMPLED: "from stereo (transparent): filled or corrected, and stereo of the pixel itself gives the "
     "same value; without it the value is inferred from the pixels around",
 }
 """Bit -> meaning for a pixel of a depth map."""
+
+VOLUME_STATUS_HELP = {
+    VolumeStatus.BOUNDED: "the bound of the error is finite",
+    VolumeStatus.OPEN_BOUND: "open bound: the search ends before the error does; bound.* is +inf",
+}
+"""Bit -> what it says of a voxel of a registration."""
+
+
+def without_smoothed(status: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return status bits without ``SMOOTHED``, which nearly every pixel of a result would have."""
+    kept: NDArray[np.uint8] = status & ~np.uint8(Status.SMOOTHED)  # the same bit in both
+    return kept
 
 
 @dataclass(frozen=True)
@@ -138,6 +156,11 @@ class DisparityMap(MatchedMap):
 
 class DepthMap(_Map):
     """Depth of the color camera's pixels: (H, W) float32, meters, NaN = no value; uint8, :class:`DepthStatus`."""
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """(H, W) bool: the value is the sensor's, or that of a second measurement (``SAMPLED``)."""
+        return self.valid & (self.kept | self._has(DepthStatus.SAMPLED))
 
     @property
     def kept(self) -> NDArray[np.bool_]:

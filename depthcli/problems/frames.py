@@ -17,7 +17,7 @@ from depthcli.core.bound import DepthBound
 from depthcli.core.cameras.camera import Intrinsics, typical_intrinsics
 from depthcli.core.context import Context
 from depthcli.core.frames import RgbdFrame, SparseFrame
-from depthcli.core.maps import DepthMap, DepthStatus, Floats
+from depthcli.core.maps import DepthMap, Floats, without_smoothed
 from depthcli.core.method import RootConfig
 from depthcli.core.result import DepthResult
 from depthcli.io.formats.depth import MILLIMETERS, beyond_png
@@ -42,9 +42,9 @@ class DepthConfig(RootConfig):
         None, description="fx, fy, cx, cy of the color camera, pixels; null: what the layout says"
     )
     mask: str = Field(
-        "all",
+        "measured",
         pattern=r"^(all|measured|confident:[0-9.]+(:.+)?)$",
-        description="pixels of point clouds: all, measured, or confident:0.8, the surest 80 % of the measured",
+        description="pixels of point clouds: measured, all, or confident:0.8, the surest 80 % of the measured",
     )
     near: float = Field(0.0, ge=0, description="points of clouds are no nearer, meters")
     far: float = Field(1000.0, gt=0, description="points of clouds are no farther, meters")
@@ -84,7 +84,7 @@ class RefinedDepth(Shown, DepthMap):
 
     def to_points(
         self,
-        mask: Pixels = "all",
+        mask: Pixels = "measured",
         near: float = 0.0,
         far: float = math.inf,
         intrinsics: tuple[float, float, float, float] | None = None,
@@ -92,8 +92,8 @@ class RefinedDepth(Shown, DepthMap):
     ) -> PointCloud:
         """Return the colored points of the pixels that ``mask`` chooses, from ``near`` to ``far`` meters.
 
-        The mask is ``all``, ``measured`` (not those that were filled in), or (H, W) bool; ``intrinsics`` are fx, fy,
-        cx, cy, pixels, by default those of ``camera``, or of a typical Kinect where that is not known. Points with a
+        The mask is ``measured`` (not filled in or corrected), ``all``, or (H, W) bool; ``intrinsics`` are fx, fy, cx,
+        cy, pixels, by default those of ``camera``, or of a typical Kinect where that is not known. Points with a
         ``bound`` above ``max_bound`` meters are left out.
         """
         camera = self.camera or typical_intrinsics(self.values.shape[1], self.values.shape[0])
@@ -136,12 +136,10 @@ def refined(
     clock.start("bound")
     bound, probability = depth_bounds(frame, result.depth, promise)
     depth = result.depth
-    if frame.interpolated:
-        depth.status[depth.kept] |= np.uint8(DepthStatus.SMOOTHED)
     _, beyond = beyond_png(depth.values, scale)
     return RefinedDepth(
         depth.values,
-        depth.status,
+        without_smoothed(depth.status),
         frame,
         frame.intrinsics,
         bound,

@@ -19,7 +19,7 @@ from depthcli.core.cameras.kinect import sensor_fb
 from depthcli.core.context import Context
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.frames import RgbdFrame
-from depthcli.core.maps import DepthStatus
+from depthcli.core.maps import DEPTH_STATUS_HELP, DepthStatus
 from depthcli.core.result import Clock, DepthResult
 from depthcli.io.formats.depth import MILLIMETERS, sensor_warning
 from depthcli.io.formats.disparity import read_plane
@@ -182,7 +182,7 @@ class RefineKinect(Problem[FrameOrSequence, FrameInputs, RefinedDepth]):
 
     def row(self, inputs: FrameInputs, result: RefinedDepth) -> Row:
         """Return size, shares of the pixels by their status, the bound, and figures of the method."""
-        bits = [bit for bit in DepthStatus if bit and bit.name and bit != DepthStatus.SAMPLED]
+        bits = [bit for bit in DEPTH_STATUS_HELP if bit not in (DepthStatus.KEPT, DepthStatus.SAMPLED)]
         row: Row = {
             "width": inputs.frame.shape[1],
             "height": inputs.frame.shape[0],

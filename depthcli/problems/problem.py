@@ -24,7 +24,7 @@ class Shown(NamedTuple):
     columns: tuple[Column, ...] = ()  # of the printed table, in addition to scene, status, seconds and memory
     page_columns: tuple[Column, ...] | None = None  # shown on this page with its own; None: ``columns``
     palette: Palette | None = None  # colors of the status maps
-    legend: tuple[int, ...] | None = None  # combinations of status bits that their legend shows
+    legend: tuple[int, ...] | None = None  # combinations of status bits that ``status.txt`` lists
     protocol: str = ""  # by which the page shows maps without truth
 
 

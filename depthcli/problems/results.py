@@ -28,7 +28,7 @@ from depthcli.methods.stereo.volume import StereoResult
 from depthcli.problems.rectified import Rectified
 from depthcli.show.draw import draw
 from depthcli.show.table import to_csv
-from depthcli.show.view import DEPTH_STATUS_PALETTE, STATUS_PALETTE, View
+from depthcli.show.view import View
 
 Pixels = str | NDArray[np.bool_]
 """Name of a choice of pixels, or (H, W) bool."""
@@ -53,8 +53,7 @@ def write_depth(
     """Write ``depth.pfm``, ``depth.png``, ``status.png``, ``preview.png``, and ``bound.pfm`` of a map in meters."""
     write_pfm(folder / "depth.pfm", depth.values)
     write_depth_png(folder / "depth.png", depth.values, scale, rotate)
-    palette = DEPTH_STATUS_PALETTE if isinstance(depth, DepthMap) else STATUS_PALETTE
-    write_status(folder / "status.png", depth.status, palette)
+    write_status(folder / "status.png", depth.status)
     _write_preview(folder, View.of_depth(depth.values, bound))
 
 
@@ -68,7 +67,7 @@ def write_disparity(
     write_pfm(folder / "disp_left.pfm", view.values)
     # The PNG has no code for what is negative: those pixels have no value there.
     write_disparity_png(folder / "disp_left.png", np.where(view.values < 0, np.float32(np.nan), view.values))
-    write_status(folder / "status.png", status, STATUS_PALETTE)
+    write_status(folder / "status.png", status)
     _write_preview(folder, view)
     if probability is not None:
         write_pfm(folder / "probability.pfm", probability)
@@ -121,7 +120,7 @@ def chosen_pixels(
             raise InputError(f"mask: expected bool of shape {found.values.shape}, got {np.shape(mask)}")
         return mask
     kind, share, name = parse_mask(mask)
-    measured = found.valid & ~found.filled
+    measured = found.measured
     if kind != "confident":
         return measured if kind == "measured" else found.valid
     maps = confidence or {}

@@ -20,7 +20,7 @@ from depthcli.core.bound import Bound
 from depthcli.core.context import Context, Latest
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.maps import Status
+from depthcli.core.maps import Status, without_smoothed
 from depthcli.core.method import RootConfig, parts_of
 from depthcli.core.text import show_bytes
 from depthcli.device import Device, DeviceError
@@ -168,7 +168,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         (SIZE, *map(percent, ("density", "measured")), number("median_bound", "{:.3g} px"), *METRIC_COLUMNS),
         palette=STATUS_PALETTE,
         # Each reason, alone and filled.
-        legend=(0, int(Status.SMOOTHED), *_REASONS, *(bit | int(Status.FILLED) for bit in _REASONS)),
+        legend=(0, *_REASONS, *(bit | int(Status.FILLED) for bit in _REASONS)),
         protocol="middlebury-v2",
     )
 
@@ -392,7 +392,8 @@ def match_pair(inputs: PairInputs, limits: Limits, context: Context) -> Disparit
     if requested > widest:
         text = f"no pixel of images {pair.shape[1]} wide has a disparity above {widest}: not searched up to {requested}"
         warnings = (text, *warnings)
-    return Disparity(disparity.values, disparity.status, pair.left, search, result, seconds, warnings, key_points)
+    status = without_smoothed(disparity.status)
+    return Disparity(disparity.values, status, pair.left, search, result, seconds, warnings, key_points)
 
 
 def _warnings(

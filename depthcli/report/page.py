@@ -27,7 +27,7 @@ from depthcli.report.without_truth import RunWithoutTruth, scenes_without_truth
 from depthcli.run.flags import Flags
 from depthcli.show.draw import error_scales, map_colors
 from depthcli.show.table import Number
-from depthcli.show.view import NO_VALUE
+from depthcli.show.view import MEASURED_CODE, NO_VALUE
 
 _ASSETS = "assets"  # folder of the pictures that do not fit into the page
 _BUDGET = 50_000_000  # size of the scenes' pictures in the page, bytes: browsers open such a file within seconds
@@ -96,12 +96,13 @@ class Page(Viewer):
             "scale": map_colors().tolist(),
             "errors": error_scales().tolist(),
             "none": NO_VALUE,
+            "measured": MEASURED_CODE,
         }
         shown = [_scene_data(report, view) for view in scored] if report else []
         text = _template().render(
             style=_file("page.css"), scripts=[_file("page.js"), _file("viewer.js")], gradient=_gradient(),
             no_value=NO_VALUE, report=report, command=without_secrets(self.command), flags=flags, factor=factor,
-            assets=_ASSETS,
+            assets=_ASSETS, measured_code=MEASURED_CODE if any(view.codes for view in views) else "",
             configs={run: text[:_MAX_CONFIG] for run, text in configs.items()},
             sections=[_section_data(section) for section in report.sections] if report else [],
             overview=tables.overview(report) if report else [], others=tables.further_tables(report) if report else [],

@@ -103,6 +103,7 @@ class SceneView:
     figures, note : without truth: heading with unit -> number, by which scenes are ordered, and their explanation
     mean_confidence : without truth: heading -> mean of a confidence map
     legend : without truth: words -> CSS color of the statuses in the small picture
+    codes : of the status maps
     sheet : data URI of a volume's preview, instead of small pictures; or None
     scale, top : words for the ends of the values' scale, and for the upper one of the errors'; empty: no errors
     bound : ends of the bounds' scale; None: there are none
@@ -120,6 +121,7 @@ class SceneView:
         self.figures: dict[str, float] = {}
         self.mean_confidence: dict[str, float] = {}
         self.legend: dict[str, str] = {}
+        self.codes: set[int] = set()
         self.note = self.above = ""
         self.sheet: str | None = None
         self.packed: PackedScene
@@ -241,7 +243,7 @@ class SceneView:
             for entry in self.data["status"].values():
                 color = "rgb({},{},{})".format(*entry["color"])
                 if color not in self.legend.values():
-                    self.legend[entry["words"].removesuffix(", smoothed")] = color
+                    self.legend[entry["words"]] = color
         self._drawn[run] = drawn | {f"{said}, dark: unsure": (f"confidence:{n}", small) for said, n in chosen.items()}
 
     def close(self, file: Path) -> None:
@@ -310,6 +312,7 @@ class SceneView:
             return None
         for value in np.unique(status).tolist():
             words, color = status_words(value, self.palette), status_colors(self.palette)[value].tolist()
+            self.codes.add(value)
             self.data["status"][str(value)] = {"words": words, "color": color}
         return status
 

@@ -199,7 +199,8 @@ function setLegend() {
       entry(flat ? "" : "0", ramp(page.errors[kind], flat ? 16 : 70), flat ? words : `${scene.top} ${scene.unit}: ${words}`);
     });
   } else if (state.layer === "status") {
-    for (const { words, color } of Object.values(scene.status)) entry(ramp([color], 16), words);
+    for (const [code, { words, color }] of Object.entries(scene.status)) entry(ramp([color], 16), `${code}: ${words}`);
+    entry(page.measured);
   } else {
     entry(`confidence ${state.measure}: unsure`, ramp([...Array(256).keys()].map((v) => [v, v, v]), 120), "sure");
   }

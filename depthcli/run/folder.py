@@ -40,10 +40,11 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-LEGEND_FILE = "legend.png"
+LEGEND_FILE = "status.txt"
+"""The codes of status maps, in the run folder."""
 EVALUATION = "evaluation"
 """Folder of a run's scores and page, in the run folder."""
-FOLDER_FILES = (RUN_FILE, *REPORT_FILES, LEGEND_FILE, EVALUATION)
+FOLDER_FILES = (RUN_FILE, *REPORT_FILES, LEGEND_FILE, "legend.png", EVALUATION)  # legend.png: of versions up to 0.2.0
 """Names in the folder of a run that no scene may have."""
 LOCKS_FILE = ".locks"
 

@@ -20,7 +20,7 @@ Palette: TypeAlias = Mapping[int, tuple[str, tuple[int, int, int]]]
 """Bit -> (word, RGB color); 0 is a pixel without any. The first of several bits gives the color, others tint it."""
 
 # Colors that the common kinds of color blindness tell apart (Okabe and Ito, 2008). White as a tint makes pale.
-_LIGHT, _PALE, _BLACK, _WHITE = (225, 225, 225), (180, 214, 196), (0, 0, 0), (255, 255, 255)
+_LIGHT, _BLACK, _WHITE = (225, 225, 225), (0, 0, 0), (255, 255, 255)
 _BLUE, _SKY, _YELLOW = (0, 114, 178), (86, 180, 233), (240, 228, 66)
 _ORANGE, _VERMILION, _PURPLE, _GREEN = (230, 159, 0), (213, 94, 0), (204, 121, 167), (0, 158, 115)
 
@@ -34,7 +34,6 @@ STATUS_PALETTE: Palette = {
     Status.OUT_OF_RANGE: ("out of range", _ORANGE),
     Status.NO_DATA: ("no data", NO_VALUE),
     Status.FILLED: ("filled", _WHITE),
-    Status.SMOOTHED: ("smoothed", _PALE),
 }
 DEPTH_STATUS_PALETTE: Palette = {
     DepthStatus.KEPT: ("kept", _LIGHT),
@@ -43,14 +42,17 @@ DEPTH_STATUS_PALETTE: Palette = {
     DepthStatus.FALLBACK: ("filled from around", _YELLOW),
     DepthStatus.CARRIED: ("carried over", _PURPLE),
     DepthStatus.EMPTY: ("no value", NO_VALUE),
-    DepthStatus.SMOOTHED: ("smoothed", _PALE),
     DepthStatus.SAMPLED: ("from stereo", _GREEN),
 }
+
+MEASURED_CODE = (
+    'Measured pixels: cv2.imread("SCENE/status.png", -1) == 0, or depthcli.read_status("SCENE/status.png").measured'
+)
+"""How a user's program selects them."""
 
 UNKNOWN, RIGHT, WRONG, HIDDEN_RIGHT, HIDDEN_WRONG, EMPTY = range(6)
 """Kinds of pixel; ``HIDDEN``: occluded in the other view, ``EMPTY``: without a value."""
 
-_SMOOTHED = int(Status.SMOOTHED)  # the same bit in both
 _TINT = 0.4  # share of every further bit's color
 _PERCENTILES = (1, 99)  # of values that span colors
 
@@ -116,11 +118,9 @@ def bound_range(bound: NDArray[np.floating[Any]]) -> Range:
 
 def status_colors(palette: Palette) -> Picture:
     """Return (256, 3) RGB of all statuses; black where no bit is in the palette."""
-    values, colors = np.arange(256), np.zeros((256, 3))
-    # Nearly every pixel is smoothed: that shows only without another state.
-    bits, mixed = np.where(values == _SMOOTHED, values, values & ~_SMOOTHED), np.zeros(256, np.bool_)
+    values, colors, mixed = np.arange(256), np.zeros((256, 3)), np.zeros(256, np.bool_)
     for bit, (_, color) in palette.items():
-        has = bits & int(bit) > 0 if bit else values == 0
+        has = values & int(bit) > 0 if bit else values == 0
         tint = np.where(mixed, _TINT, 1.0)[:, None]
         colors = np.where(has[:, None], colors + tint * (color - colors), colors)
         mixed |= has

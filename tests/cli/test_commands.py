@@ -19,6 +19,7 @@ import pytest
 import yaml
 from PIL import Image
 
+import depthcli
 from depthcli.cli import command_of, main
 from depthcli.commands import config_model, find, grouped_names, help_of, own_names, text_of
 from depthcli.commands._options import PairOptions, RunOptions
@@ -28,7 +29,6 @@ from depthcli.core.config_file import load_config
 from depthcli.evaluation.sweeps import parse_axes
 from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.status import read_status
 from depthcli.run.presets import find_config
 from tests.command_line import run, wait_for
 
@@ -50,10 +50,12 @@ def test_maps_and_reports_for_a_folder(made_scenes: Path, tmp_path: Path, capsys
     codes = cv2.imread(str(folder / "disp_left.png"), cv2.IMREAD_UNCHANGED)
     assert codes.dtype == np.uint16
     np.testing.assert_allclose(read_disparity(folder / "disp_left.png"), values.clip(1 / 256), atol=1 / 512)
-    assert read_status(folder / "status.png").shape == (64, 96)
     assert cv2.imread(str(folder / "preview.png"), cv2.IMREAD_UNCHANGED).shape == (64, 96, 3)
     rows = list(csv.DictReader(io.StringIO((tmp_path / "run" / "report.csv").read_text())))
     assert [row["scene"] for row in rows] == ["planes_0", "planes_1", "planes_2"]
+    status = depthcli.read_status(folder / "status.png")
+    assert status.measured.mean() == pytest.approx(float(rows[0]["measured"]), abs=1e-5)
+    assert "read_status" in (tmp_path / "run" / "status.txt").read_text()
     assert float(rows[0]["seconds_load"]) > 0
     assert int(rows[0]["peak_memory"]) > 1 << 20
     assert 0.5 < float(rows[0]["density"]) <= 1

@@ -36,7 +36,7 @@ def test_a_frame_gives_depth_status_and_bound(made_kinect: Path, tmp_path: Path,
     row = rows(output)["planes"]
     assert row["known"] == pytest.approx(measured.mean(), abs=1e-5)
     assert row["filled"] == pytest.approx(1 - measured.mean(), abs=1e-5)
-    assert (output / "legend.png").is_file()
+    assert (output / "status.txt").is_file()
 
 
 def test_bounds_at_another_level_are_evaluated_and_limit_clouds(made_kinect: Path, tmp_path: Path):
@@ -127,15 +127,17 @@ def test_points_are_chosen_and_placed_by_options(made_kinect: Path, tmp_path: Pa
         assert f"element vertex {len(vertices)}\n".encode() in header
         return vertices["p"]
 
-    whole, measured, sure = points("a"), points("m", "--mask", "measured"), points("s", "--mask", "confident:0.5")
+    whole, measured, sure = points("a", "--mask", "all"), points("m"), points("s", "--mask", "confident:0.5")
+    status = read_status(tmp_path / "m/planes/status.png")
+    assert (len(whole), len(measured)) == (status.size, status.measured.sum())
     assert len(whole) > len(measured) > len(sure) >= len(measured) // 2 > 0
     assert set(map(tuple, sure)) < set(map(tuple, measured)) < set(map(tuple, whole))
     assert sure[:, 2].max() < measured[:, 2].max()  # far depths have a larger deviation
     middle = float(np.median(whole[:, 2]))
-    near, far = points("n", "--near", f"{middle}"), points("f", "--far", f"{middle}")
+    near, far = (points(name, f"--{name}", f"{middle}", "--mask", "all") for name in ("near", "far"))
     assert near[:, 2].min() >= middle >= far[:, 2].max()
     assert len(near) + len(far) >= len(whole)
-    wide = points("w", "--intrinsics", "20,20,47.5,35.5")
+    wide = points("w", "--intrinsics", "20,20,47.5,35.5", "--mask", "all")
     np.testing.assert_array_equal(wide[:, 2], whole[:, 2])
     assert np.abs(wide[:, 0]).max() > 2 * np.abs(whole[:, 0]).max()
     assert rows(tmp_path / "w")["planes"]["intrinsics"] == "of the camera"
@@ -211,10 +213,8 @@ def test_depth_smaller_than_color_is_refined_at_the_size_of_color(phone: Path, t
     row = rows(tmp_path / "r")["room"]
     assert row["registered"] == "by both cameras"
     assert (row["width"], row["height"]) == (480, 360)
-    # Values between samples are not passed off as measured, those in the gap are filled.
-    kept = (status & ~np.uint8(DepthStatus.SMOOTHED)) == DepthStatus.KEPT
-    assert kept.mean() == pytest.approx(row["kept"], abs=1e-5)
-    assert (status[kept] == DepthStatus.SMOOTHED).all()
+    # Values between samples count as kept, those in the gap are filled.
+    assert status.measured.mean() == pytest.approx(row["kept"], abs=1e-5)
     assert row["known"] < 0.99
 
 

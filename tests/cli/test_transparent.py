@@ -34,7 +34,7 @@ def test_files_report_and_evaluation(made_glass, tmp_path, capsys):
     from_stereo = (status & DepthStatus.SAMPLED) > 0
     assert row["from_stereo"] == pytest.approx(from_stereo.mean(), abs=1e-6)
     assert 0 < from_stereo.mean() < 0.2 * (row["filled"] + row["replaced"])  # a tenth of the pixels has a sample
-    assert (run / "legend.png").is_file()
+    assert (run / "status.txt").is_file()
     assert {"samples", "fit", "unreliable"} <= set(row["seconds"])
     assert "transparent" in json.dumps(document["evaluation"])
 
@@ -63,7 +63,8 @@ def test_a_mask_of_the_objects_alone(made_glass, tmp_path, capsys):
     first = np.frombuffer(points[:12], "<f4")
     np.testing.assert_allclose(first, depth[0, 0] * np.array([-0.64, -0.48, 1]), rtol=1e-4)
     near = float(np.median(depth))
-    assert main([*command, "--overwrite", "--ply", "--near", str(near), "-q"]) == 0
+    assert b"vertex %d\n" % kept.sum() in (tmp_path / "run/a/points.ply").read_bytes()[:200]
+    assert main([*command, "--overwrite", "--ply", "--near", str(near), "--mask", "all", "-q"]) == 0
     assert b"vertex %d\n" % (depth >= near).sum() in (tmp_path / "run/a/points.ply").read_bytes()[:200]
     # What lies inside the mask does not count.
     write_pfm(frame / "depth.pfm", np.where(objects, np.float32(0.1), sensor))

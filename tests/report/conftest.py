@@ -11,7 +11,6 @@ from depthcli.core.maps import Status
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.status import write_status
-from depthcli.show.view import STATUS_PALETTE
 
 SHAPE = (36, 48)
 ODD = """<script>alert("1")<&'x"""
@@ -54,7 +53,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
             if place == places[0]:
                 write_pfm(place / name / "confidence_lrd.pfm", rng.uniform(0, 1, SHAPE).astype(np.float32))
                 status[:, :8] = int(Status.OCCLUDED | Status.FILLED)
-                write_status(place / name / "status.png", status, STATUS_PALETTE)
+                write_status(place / name / "status.png", status)
                 bound = np.abs(values - truth_of(seed)) + np.linspace(-0.2, 8, SHAPE[1], dtype=np.float32)
                 bound[4] = np.inf
                 write_pfm(place / name / "bound.pfm", np.maximum(bound, np.float32(0.01)))

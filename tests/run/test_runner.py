@@ -328,7 +328,8 @@ def test_inputs_are_never_written_over(folder: Folder):
 
 
 @pytest.mark.parametrize(
-    "name", ["", ".hidden", "..", "a/../b", "a//b", "legend.png", "evaluation", "evaluation/a", "report.json"]
+    "name",
+    ["", ".hidden", "..", "a/../b", "a//b", "legend.png", "status.txt", "evaluation/a", "evaluation", "run.yaml"],
 )
 def test_names_that_lead_astray_are_refused(folder: Folder, name: str):
     scene = Text(name=name, folder=folder.root, file=folder.root / "in" / "x")
@@ -483,7 +484,7 @@ def test_files_that_no_record_claims_are_never_replaced(folder: Folder, overwrit
     assert folder.run(only="a")["a"]["status"] == "done"
 
 
-@pytest.mark.parametrize(("name", "overwrite"), [("run.yaml", False), ("report.csv", True), ("legend.png", True)])
+@pytest.mark.parametrize(("name", "overwrite"), [("run.yaml", False), ("report.csv", True), ("status.txt", True)])
 def test_a_folder_with_own_files_is_no_run_folder(folder: Folder, name: str, overwrite: bool):
     folder.output.mkdir()
     (folder.output / name).write_text("pipeline: mine")

@@ -73,7 +73,7 @@ def test_who_may_come_in(made_scenes: Path, tmp_path: Path, capsys, monkeypatch)
     assert run(*common, "--set", "block=7", "--overwrite") == 0
     assert run(*common) == 2
     assert run(*common, "--overwrite") == 0
-    left = ["legend.png", "planes_0", "report.csv", "report.json", "run.yaml"]
+    left = ["planes_0", "report.csv", "report.json", "run.yaml", "status.txt"]
     assert sorted(path.name for path in out.iterdir()) == left
 
 

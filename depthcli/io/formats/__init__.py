@@ -4,7 +4,7 @@
 ``files``         start here: regular files only, written wholly or not at all, named in every message
 ``plain_text``    numbers, key-value lines and JSON objects, as in calibrations
 ``images``        PNG, JPEG, Netpbm, TIFF, BMP: pixels, or codes of one channel; pairs
-``status``        status bits as a PNG in color, and the legend of the colors
+``status``        status codes as a PNG, and the text that explains them
 ``disparity``     disparities in pixels, and any map of one channel (``read_plane``): PFM, npy, PNG, TIFF
 ``files_behind``  files that are read with another one: values of a volume, chains of transforms
 ``map_format``    formats of maps that plug-ins add
