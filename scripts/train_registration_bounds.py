@@ -79,8 +79,9 @@ def sampled(scene: Any, state: str, preset: str) -> Arrays:
 def measured(of: Arrays, by: ErrorTable) -> tuple[float, ...]:
     """Return coverage, median bound, median error, mean bound / constant, share of bounds that end with the search."""
     scores, reach = [of[name] for name in sorted(of) if name.startswith("score")], float(of["reach"])
-    bound = bounds_of(scores, float(of["iso"]), reach, by, VolumeBound())["bound"].astype(np.float64)
-    bound[bound >= reach * (1 - 1e-6)] = np.inf
+    promise, expected = VolumeBound(), of["expected"]
+    bound = bounds_of(scores, expected, float(of["iso"]), reach, by, promise)["bound"].astype(np.float64)
+    bound[bound >= reach] = np.inf
     found = bound_scores(Tally("", of["true"]), bound, of["true"] > 3, 0.9, "mm")
     by_name = {score.metric.name: score.value for score in found}
     return (

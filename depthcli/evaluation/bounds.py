@@ -18,7 +18,7 @@ from depthcli.core.yaml_source import parse_config
 from depthcli.evaluation.curves import ConfidenceCurve, reliability
 from depthcli.evaluation.map_files import PROBABILITY
 from depthcli.evaluation.protocols import AnyProtocol, shown_pixels
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, mean_of_scenes, pooled
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, mean_of_scenes, percent, pooled
 
 COVERAGE, WORST, COVERING = "bound coverage", "bound coverage, worst map", "bound coverage, maps"
 """Share of pixels inside the bound; smallest share of all maps; share of maps near or above the level."""
@@ -85,26 +85,29 @@ def bound_scores(
 ) -> list[Score]:
     """Return coverage, median, sharpness, and wrong pixels among the surest, of one region; nothing without a value.
 
-    The sharpness is the mean of the finite bounds over the smallest constant that covers as many of their pixels; there
-    is none if that is 0.
+    The coverage is that of the bounds that are not open; without any it is NaN, as of an empty region. The sharpness is
+    the mean of the finite bounds over the smallest constant that covers as many of their pixels; there is none if that
+    is 0.
 
     Parameters
     ----------
-    bound : (N,) in the unit of the errors; NaN: there is none, so that nothing is covered
+    bound : (N,) in the unit of the errors; NaN: there is none, so that nothing is covered; +inf: it is open
     wrong : (N,) by the headline's rule
     """
     valued = ~np.isnan(tally.error)
     error, bound, wrong = tally.valid, bound[valued], wrong[valued]
     if not error.size:
         return []
-    finite, known, covered = np.isfinite(bound), bound[~np.isnan(bound)], int(np.count_nonzero(error <= bound))
+    finite, known, closed = np.isfinite(bound), bound[~np.isnan(bound)], ~np.isposinf(bound)
+    n_closed, covered = int(np.count_nonzero(closed)), int(np.count_nonzero((error <= bound) & closed))
     promised = Metric(COVERAGE, "%", round(100 * level, 6), ESTIMATED_ONLY, larger_is_better=True)
     share, median, sharpness = (
         Metric(f"bound{name}", of, None, ESTIMATED_ONLY)
         for name, of in ((" finite", "%"), (" median", unit), (" / constant", ""))
     )
+    coverage = replace(tally.number(promised, percent(covered, n_closed), n_closed), wrong=n_closed - covered)
     made = [
-        replace(tally.number(promised, 100 * covered / error.size, error.size), wrong=error.size - covered),
+        coverage if n_closed else replace(coverage, density=math.nan),
         tally.number(share, 100 * float(finite.mean()), error.size),
     ]
     if known.size:
@@ -129,9 +132,9 @@ def bound_means(maps: Sequence[Sequence[Score]]) -> list[Score]:
     """Return the means over the scores of several maps, which weigh alike, with the worst coverage and who covers."""
     made = pooled(mean_of_scenes, ((scores, 1.0) for scores in maps))
     for score in [score for score in made if score.metric.name == COVERAGE]:
-        found = [s.value for scores in maps for s in scores if s.key == score.key]
+        found = [s.value for scores in maps for s in scores if s.key == score.key and not math.isnan(s.value)]
         enough = sum(value >= (score.metric.threshold or 0) - _TOLERANCE for value in found)
         of_maps = Metric(COVERING, "% of maps", score.metric.threshold, ESTIMATED_ONLY, larger_is_better=True)
-        made.append(replace(score, metric=replace(score.metric, name=WORST), value=min(found)))
-        made.append(replace(score, metric=of_maps, value=100 * enough / len(found), pixels=len(found)))
+        made.append(replace(score, metric=replace(score.metric, name=WORST), value=min(found, default=math.nan)))
+        made.append(replace(score, metric=of_maps, value=percent(enough, len(found)), pixels=len(found)))
     return made

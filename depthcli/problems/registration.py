@@ -21,6 +21,7 @@ from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.core.bound import VolumeBound
 from depthcli.core.context import Context
 from depthcli.core.errors import InputError
+from depthcli.core.maps import VolumeStatus
 from depthcli.core.method import RootConfig
 from depthcli.core.volumes import Grid
 from depthcli.io.formats.files import write_text
@@ -109,9 +110,16 @@ class RegistrationConfidence:
     def bound(self) -> NDArray[np.float32]:
         """(Z, Y, X) float32, mm: a share ``level`` of the errors is not larger; InputError without one.
 
-        Where it is ``details.figures["reach"]``, as far as matches were searched for, it may be any larger number.
+        It is nowhere below the expected error, and infinite where it is open: from ``details.figures["reach"]`` on, as
+        far as matches were searched for.
         """
-        return self._bounds("bound")
+        self._bounds("bound")
+        return self._bound()
+
+    @property
+    def status(self) -> NDArray[np.uint8]:
+        """(Z, Y, X) uint8, bits of :class:`VolumeStatus`; InputError without a bound."""
+        return _status_of(self.bound)
 
     @cached_property
     def probability(self) -> NDArray[np.float32]:
@@ -140,6 +148,8 @@ class RegistrationConfidence:
             shift = np.stack([trilinear(self.details.shift[axis], places) for axis in (2, 1, 0)], axis=-1)
             columns |= zip(("shift_x", "shift_y", "shift_z"), (shift @ self.grid.axes.T).T, strict=True)
         columns |= {name: trilinear(values, places) for name, values in self.bounds.items()}
+        if "bound" in columns:
+            columns["bound"] = self._opened(columns["bound"], columns["expected_error"])
         return [
             {name: round(float(v), _DECIMALS.get(name, 4)) for name, v in zip(columns, row, strict=True)}
             for row in zip(*columns.values(), strict=True)
@@ -149,24 +159,31 @@ class RegistrationConfidence:
         """Write the files that ``depthcli register-confidence`` writes for a scene, with the same bytes.
 
         The folder is created where it is missing; volumes have the suffix ``.nii.gz``, ``.nii``, ``.mha`` or ``.nrrd``;
-        landmarks, (N, 3) positions x, y, z, mm, are for the table ``points.csv``, where a bound that ends with the
-        search is ``> 14``.
+        landmarks, (N, 3) positions x, y, z, mm, are for the table ``points.csv``, where an open bound of a search of
+        14 mm is ``> 14``.
         """
         if suffix not in _SUFFIXES:
             raise InputError(f"suffix: must be .nii.gz, .nii, .mha or .nrrd (got {suffix!r})")
         files = made(folder)
         maps = {"confidence": self.details.certainty, "expected_error": self.details.expected_error, **self.bounds}
         for name, values in maps.items():
-            write_volume(files / f"{name}{suffix}", self.grid, partial(self._on_fixed_grid, values))
+            if name != "bound":
+                write_volume(files / f"{name}{suffix}", self.grid, partial(self._on_fixed_grid, values))
+        if "bound" in self.bounds:
+
+            def status(first: int, last: int) -> NDArray[np.uint8]:
+                return _status_of(self._bound(first, last))
+
+            write_volume(files / f"bound{suffix}", self.grid, self._bound)
+            write_volume(files / f"status{suffix}", self.grid, status, bytes_=True)
         if self.details.shift is not None:
             write_volume(files / f"shift{suffix}", self.grid, self._shift, vector=True)
         write_drawn(files / "preview.png", self._preview)
         if landmarks is not None:
-            reach = round(self.details.figures.get("reach", math.inf), 4)
             rows: list[Row] = list(self.at(landmarks))
             for row in rows:
-                if row.get("bound", 0) >= reach:
-                    row["bound"] = f"> {reach:g}"
+                if row.get("bound") == math.inf:
+                    row["bound"] = f"> {round(self._reach, 4):g}"
             write_text(files / "points.csv", to_csv(rows))
 
     def _on_fixed_grid(
@@ -177,6 +194,20 @@ class RegistrationConfidence:
         start_and_step = self.loaded.on_grid(self.details.start, self.details.step)
         shape = ((depth if last is None else last) - first, height, width)
         return at_voxels(values, *start_and_step, shape, (first, 0, 0))
+
+    @property
+    def _reach(self) -> float:
+        return self.details.figures.get("reach", math.inf)
+
+    def _bound(self, first: int = 0, last: int | None = None) -> NDArray[np.float32]:
+        # Interpolated, then opened: infinity cannot be interpolated. Rounding puts no bound below the expected error.
+        parts = (self.bounds["bound"], self.details.expected_error)
+        return self._opened(*(self._on_fixed_grid(values, first, last) for values in parts))
+
+    def _opened(self, bound: NDArray[np.float32], expected: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return bounds at any places, +inf where they are open."""
+        bound = np.maximum(bound, expected)
+        return np.where(bound >= bound.dtype.type(self._reach), np.float32(np.inf), bound)
 
     def _bounds(self, name: str) -> NDArray[np.float32]:
         if name not in self.bounds:
@@ -292,7 +323,8 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
         bounds: dict[str, NDArray[np.float32]] = {}
         if details.scores:
             table = read_errors(config.pipeline.error_table)
-            bounds = bounds_of(details.scores, details.figures["iso"], details.figures["reach"], table, config.bound)
+            expected, iso, reach = details.expected_error, details.figures["iso"], details.figures["reach"]
+            bounds = bounds_of(details.scores, expected, iso, reach, table, config.bound)
         clock.start("other")
         details.figures.update(inside_figures(details, loaded, bounds.get("bound")))
         warnings = []
@@ -427,25 +459,35 @@ def _volume(
     return Grid((width, height, depth), (x, y, z), at, tuple(map(float, axes.ravel()))), values
 
 
+def _status_of(bound: NDArray[np.float32]) -> NDArray[np.uint8]:
+    return np.where(np.isposinf(bound), np.uint8(VolumeStatus.OPEN_BOUND), np.uint8(0))
+
+
 def bounds_of(
-    scores: Sequence[NDArray[np.float32]], iso: float, reach: float, table: ErrorTable, promise: VolumeBound
+    scores: Sequence[NDArray[np.float32]],
+    expected: NDArray[np.float32],
+    iso: float,
+    reach: float,
+    table: ErrorTable,
+    promise: VolumeBound,
 ) -> dict[str, NDArray[np.float32]]:
     """Return bound, mm, and probability of the scores of a result, with its figures, by a table of errors in voxels.
 
-    They are those of the finest resolution whose usual bound does not end with its search; empty without scores.
+    They are those of the finest resolution whose usual bound does not end with its search; empty without scores. No
+    bound is below the expected error, and all from ``reach`` on are open: there the search ends.
     """
     bounds: dict[str, NDArray[np.float32]] = {}
     for k, score in reversed(list(enumerate(scores))):
         unit = iso * 2**k
         finer = {
-            "bound": np.minimum(table.bound(score, promise.level) * np.float32(unit), np.float32(reach)),
+            "bound": table.bound(score, promise.level) * np.float32(unit),
             "probability": table.probability(score, promise.within / unit),
         }
         if bounds:
             ends = table.bound(score, _USUAL.level) * unit >= reach / 2 ** (len(scores) - 1 - k)
             finer = {name: np.where(ends, bounds[name], values) for name, values in finer.items()}
         bounds = finer
-    return bounds
+    return {**bounds, "bound": np.maximum(bounds["bound"], expected)} if bounds else {}
 
 
 def _beyond_search(figures: Mapping[str, Any]) -> bool:
@@ -460,7 +502,7 @@ def inside_figures(
 
     They are ``inside_mean``, ``inside_95`` (quantile), ``inside_max``, mm; ``above_3mm``, mL of larger errors; where
     there are any, ``above_x``, ``above_y`` and ``above_z``: center of their largest connected region, mm, LPS. Of a
-    bound ``inside_bound``, its median, mm, and ``at_reach``, the share of voxels where it ends with the search.
+    bound ``inside_bound``, its median, mm, and ``at_reach``, the share of voxels where it is open.
     """
     pair, grid = loaded.pair, loaded.grid
     inside = pair.mask
@@ -485,8 +527,9 @@ def inside_figures(
         figures |= dict(zip(("above_x", "above_y", "above_z"), map(float, position), strict=True))
     if bound is not None:
         within = at_voxels(bound, result.start, result.step, pair.shape)[inside]
-        figures["inside_bound"] = float(np.median(within))
-        figures["at_reach"] = float(np.mean(within >= bound.dtype.type(result.figures["reach"])))
+        reach = bound.dtype.type(result.figures["reach"])
+        figures["inside_bound"] = float(np.median(np.minimum(within, reach)))
+        figures["at_reach"] = float(np.mean(within >= reach))
     return {name: round(value, 4) for name, value in figures.items()}
 
 

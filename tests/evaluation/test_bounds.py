@@ -56,9 +56,10 @@ def test_values_without_bound_are_not_covered_and_pixels_without_value_do_not_co
     assert scores_of([NAN], [1]) == {}
 
 
-def test_infinite_bounds_cover_and_make_no_bound_less_sharp():
+def test_open_bounds_are_counted_apart_and_make_no_bound_less_sharp():
+    found = values([0.5, 2, 9], [1, 1, math.inf])
+    assert (found[f"{COVERAGE} 90"], found["bound finite"]) == (50, pytest.approx(200 / 3))
     found = values([0.5, 1, 9], [1, 1, math.inf])
-    assert (found[f"{COVERAGE} 90"], found["bound finite"]) == (100, pytest.approx(200 / 3))
     assert found["bound / constant"] == 1
     assert found[f"{BAD} 50"] == 0
     assert math.isinf(values([1], [math.inf])["bound median"])
@@ -69,6 +70,13 @@ def test_nothing_covered_has_no_sharpness():
     assert found[f"{COVERAGE} 90"] == 0
     assert "bound / constant" not in found
     assert values([1, 2], [NAN, NAN])[f"{COVERAGE} 90"] == 0
+
+
+def test_a_map_of_open_bounds_has_no_coverage():
+    maps = [[*scores_of([1.0], [bound]).values()] for bound in (math.inf, 2)]
+    assert math.isnan(maps[0][0].value)
+    found = {score.metric.name: score.value for score in bound_means(maps) if score.metric.name != BAD}
+    assert (found[COVERAGE], found[WORST], found[COVERING], found["bound finite"]) == (100, 100, 100, 50)
 
 
 def test_means_weigh_maps_alike_and_know_the_worst():

@@ -58,9 +58,10 @@ def test_a_result_describes_itself_and_codes_are_depths_by_their_scale(made_kine
     assert "other" in found.seconds and repr(found).startswith("RefinedDepth(96 x 72, ")
     assert found._repr_png_().startswith(b"\x89PNG")
     limit = float(np.median(found.bound))
-    assert len(found.to_points(max_bound=limit)) == np.count_nonzero(found.bound <= limit)
-    points = found.to_points()
-    again = found.to_points(intrinsics=(80, 80, 47.5, 35.5))
+    assert len(found.to_points("all", max_bound=limit)) == np.count_nonzero(found.bound <= limit)
+    assert len(found.to_points()) == found.measured.sum() == found.kept.sum() < found.valid.sum()
+    points = found.to_points("all")
+    again = found.to_points("all", intrinsics=(80, 80, 47.5, 35.5))
     assert len(points) == found.valid.sum() and np.array_equal(points.points, again.points)
     assert points.points[:, 2] == pytest.approx(found.values[found.valid])
 
@@ -149,7 +150,7 @@ def test_depth_of_its_own_camera_is_registered():
     assert found.values.shape == (60, 80)
     assert (found.values == 2).all()
     assert found.kept.all()
-    assert (found.status == depthcli.DepthStatus.SMOOTHED).all()
+    assert (found.status == depthcli.DepthStatus.KEPT).all()
     moved = depthcli.refine_depth(color, depth, "nearest", **cameras, depth_to_color=(np.eye(3), [0.5, 0, 0]))
     # Half of the 24 - 20 columns that the depth camera sees more on either side, and 80 x 0.5 / 2 pixels.
     assert moved.filled.sum() == (20 - 8) * 60
@@ -226,17 +227,24 @@ def test_bounds_and_probabilities_of_registrations_are_monotone():
         assert (less.probability <= more.probability).all()
         np.testing.assert_array_equal(less.values, more.values)
     assert all(one.probability.min() >= 0 and one.probability.max() <= 1 for one in found)
-    assert found[2].bound.max() <= found[2].details.figures["reach"] == 10
+    assert found[2].details.figures["reach"] == 10
+    for one in found:
+        assert (one.bound >= one.values).all()
+        assert one.bound[np.isfinite(one.bound)].max() < 10
+        np.testing.assert_array_equal(one.status, np.isposinf(one.bound))
 
 
-def test_a_bound_that_ends_with_the_search_is_at_least_that(tmp_path: Path):
+def test_a_bound_that_ends_with_the_search_is_open(tmp_path: Path):
     fixed, warped = np.random.default_rng(1).random((2, 16, 18, 18), np.float32)  # nothing matches
     found = depthcli.registration_confidence(fixed, warped, (2, 1, 1), "mind", radius=2)
     reach = found.details.figures["reach"]
     assert reach == pytest.approx(2 * 2 ** (1 / 3), abs=1e-4)
     assert found.details.figures["at_reach"] == 1 and found.details.figures["inside_bound"] == round(reach, 4)
-    assert (found.bound == np.float32(reach)).all()
-    found.save(tmp_path, landmarks=[[5, 5, 5]])
+    assert np.isposinf(found.bound).all() and (found.status == depthcli.VolumeStatus.OPEN_BOUND).all()
+    for suffix in (".nii.gz", ".mha", ".nrrd"):
+        found.save(tmp_path, suffix, landmarks=[[5, 5, 5]])
+        assert np.isposinf(read_volume(tmp_path / f"bound{suffix}", infinite=True).values).all()
+        assert (read_volume(tmp_path / f"status{suffix}").values == 1).all()
     assert (tmp_path / "points.csv").read_text().splitlines()[1].split(",")[-2] == "> 2.5198"
 
 

@@ -107,7 +107,7 @@ def _on_grid(points: NDArray[Any], truth: PreparedTruth) -> NDArray[Any]:
 
 
 def _turned(file: Path) -> NDArray[Any]:
-    volume = read_volume(file)
+    volume = read_volume(file, infinite=True)
     return volume.grid.turned(volume.values)
 
 
@@ -200,7 +200,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
             "Spearman: rank correlation of expected and true errors; AUC: share of the pairs of points, one with a "
             "true error above 3 mm and one below, in the right order; accuracy: of the classes < 3, 3-6, >= 6 mm; "
             "MAE: mean |expected - true|, mm; expected: mean, mm; AUSE, AURG: of the true error's sparsification, mm; "
-            "TRE: mean true error, mm; TRE30: mean of the worst 30 %; means of several pairs: over all their points; "
+            "TRE: mean true error, mm; TRE30: mean of the worst 30 %; pooled: over the points of all pairs; "
             f"{_CAUTION}"
         ),
         opacity=0.65,
@@ -327,7 +327,7 @@ def _with_missing(score: Score, share: float, n_points: int) -> Score:
 
 
 def _at_points(path: Path, truth: PreparedTruth) -> Errors:
-    volume = read_volume(path)
+    volume = read_volume(path, infinite=True)
     if not volume.grid.same_as(truth.stored.grid):
         raise InputError(
             f"{path}: another grid than the fixed volume's ({volume.grid.describe_difference(truth.stored.grid)})"
@@ -335,4 +335,6 @@ def _at_points(path: Path, truth: PreparedTruth) -> Errors:
     if truth.inside is not None:
         return volume.values[truth.inside]
     assert truth.landmarks is not None
-    return trilinear(volume.values, truth.landmarks)
+    endless = np.isposinf(volume.values)  # open bounds: so is what is interpolated between them and others
+    values = trilinear(np.where(endless, np.float32(0), volume.values), truth.landmarks)
+    return np.where(trilinear(endless.astype(np.float32), truth.landmarks) > 0, np.float32(np.inf), values)

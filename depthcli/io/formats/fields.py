@@ -81,7 +81,7 @@ def read_field(path: Path, fixed: Grid) -> Field:
                 image, unknown = read_itk(path)
                 values = simple_itk().GetArrayFromImage(image)
                 if unknown is not None:
-                    values[unknown.reshape(values.shape)] = np.nan
+                    values[unknown.reshape(values.shape) != 0] = np.nan
                 return _in_voxels(values.transpose(1, 2, 3, 0), fixed)
             named = _named_by_intent(header.GetMetaData("intent_name").strip(), header.GetMetaData("intent_p1"))
         elif suffix_of(path) in (".nrrd", ".nhdr"):

@@ -41,7 +41,7 @@ _MAX_UNEVENNESS = 0.05  # of the distances of slices; a missing slice makes one 
 _HEADER_BYTES = 1 << 20  # first part of a MetaImage file, with its header
 _MAX_LINE = 250  # characters in a header of MetaImage, whose library copies longer ones without a check
 
-Slab = Callable[[int, int], NDArray[np.float32]]
+Slab = Callable[[int, int], NDArray[Any]]
 """Slices ``first`` up to ``last`` of a volume, (n, Y, X), or (n, Y, X, 3) of a vector field."""
 
 
@@ -68,8 +68,8 @@ def is_raw(path: Path) -> bool:
     return suffix_of(path) == ".img" and not nifti_header(path)
 
 
-def read_volume(path: Path, vector: bool = False) -> Volume:
-    """Return a volume, or a field of three components."""
+def read_volume(path: Path, vector: bool = False, infinite: bool = False) -> Volume:
+    """Return a volume, or a field of three components; ``infinite``: infinite numbers of NIfTI files stay, else NaN."""
     with naming(path):
         if suffix_of(path) in IMAGE_SUFFIXES:
             plane = read_grey(path)
@@ -93,7 +93,8 @@ def read_volume(path: Path, vector: bool = False) -> Volume:
         # In a NIfTI file a field's components follow one another.
         in_order = np.moveaxis(values, -1, 0) if vector else values
         if unknown is not None:
-            in_order[unknown.reshape(in_order.shape)] = np.nan
+            marks = unknown.reshape(in_order.shape)
+            in_order[marks != 0] = marks[marks != 0] if infinite else np.nan
         return Volume(values, grid)
 
 
@@ -120,10 +121,10 @@ def read_grid(path: Path) -> Grid:
         return Grid(size, _checked(spacing))
 
 
-def read_itk(path: Path) -> tuple[Any, NDArray[np.bool_] | None]:
-    """Return the SimpleITK image of a file, and which numbers of a NIfTI file are not finite, which ITK makes 0.
+def read_itk(path: Path) -> tuple[Any, NDArray[np.float32] | None]:
+    """Return the SimpleITK image of a file, and the numbers of a NIfTI file that are not finite, which ITK makes 0.
 
-    The latter is None where all are finite, and else flat, in the order of the file.
+    The latter is None where all are finite, and else flat, in the order of the file, 0 for finite ones.
     """
     if os.path.isdir(path):
         return _dicom(path), None
@@ -197,8 +198,11 @@ def itk_header(path: Path) -> Any:
     return reader
 
 
-def _unknown_in_nifti(path: Path, reader: Any) -> NDArray[np.bool_] | None:
-    """Return which numbers are not finite; InputError where the file is cut off, which ITK fills up with zeros."""
+def _unknown_in_nifti(path: Path, reader: Any) -> NDArray[np.float32] | None:
+    """Return the numbers that are not finite, 0 for others.
+
+    InputError where the file is cut off, which ITK fills up with zeros.
+    """
     kind = _NIFTI_FLOATS.get(reader.GetMetaData("datatype"))
     n_values = int(np.prod(reader.GetSize())) * reader.GetNumberOfComponents()
     item = int(reader.GetMetaData("bitpix")) // 8 if kind is None else int(kind[1])
@@ -216,8 +220,9 @@ def _unknown_in_nifti(path: Path, reader: Any) -> NDArray[np.bool_] | None:
     start = (nifti_header(path) or data)[:2] if suffix_of(path) == ".img" else data[:2]
     start = read_bytes(path)[:2] if suffix_of(path) == ".hdr" else start
     order = "<" if start == struct.pack("<h", 348) else ">"
-    known = np.isfinite(np.frombuffer(data, order + kind, n_values, offset))
-    return None if known.all() else ~known
+    values = np.frombuffer(data, order + kind, n_values, offset)
+    known = np.isfinite(values)
+    return None if known.all() else np.where(known, 0, values).astype(np.float32)
 
 
 @contextlib.contextmanager
@@ -278,8 +283,10 @@ def written_suffix(path: Path) -> str:
     return {".mhd": ".mha", ".nhdr": ".nrrd"}.get(own, own if own in (".nii", ".nii.gz", ".nrrd") else ".mha")
 
 
-def write_volume(path: Path, grid: Grid, slab: Slab, vector: bool = False) -> None:
-    """Write float32 slices as they come, in the format of the ending (``.nii``, ``.nii.gz``, ``.mha``, ``.nrrd``).
+def write_volume(path: Path, grid: Grid, slab: Slab, vector: bool = False, bytes_: bool = False) -> None:
+    """Write float32 slices, or uint8 ones, as they come, in the format of the ending.
+
+    That is ``.nii``, ``.nii.gz``, ``.mha`` or ``.nrrd``.
 
     A field is written in mm along LPS, as ITK reads it; in NIfTI with the intent of a vector (1007).
     """
@@ -289,15 +296,15 @@ def write_volume(path: Path, grid: Grid, slab: Slab, vector: bool = False) -> No
     with atomic_path(path) as temporary, open(temporary, "wb") as file, contextlib.ExitStack() as stack:
         packed: Any = file
         if not nifti:
-            file.write((_nrrd_header if kind == ".nrrd" else _meta_header)(grid, vector))
+            file.write((_nrrd_header if kind == ".nrrd" else _meta_header)(grid, vector, bytes_))
         if kind in (".nii.gz", ".nrrd"):
             packed = stack.enter_context(gzip.GzipFile("", "wb", 1, file, mtime=0))
         if nifti:
-            packed.write(_nifti_header(grid, vector))
+            packed.write(_nifti_header(grid, vector, bytes_))
         for part in range(3) if vector and nifti else (slice(None),):  # NIfTI has the components one after another
             for first in range(0, grid.shape[0], step):
                 values = slab(first, min(first + step, grid.shape[0]))
-                packed.write(np.ascontiguousarray(values[..., part], "<f4").data)
+                packed.write(np.ascontiguousarray(values[..., part], "u1" if bytes_ else "<f4").data)
 
 
 def write_array(path: Path, grid: Grid, values: NDArray[np.float32]) -> None:
@@ -305,41 +312,42 @@ def write_array(path: Path, grid: Grid, values: NDArray[np.float32]) -> None:
     write_volume(path, grid, lambda first, last: values[first:last], values.ndim == 4)
 
 
-def _meta_header(grid: Grid, vector: bool) -> bytes:
+def _meta_header(grid: Grid, vector: bool, bytes_: bool) -> bytes:
     # MetaImage lists the axes one after another; ITK's matrix has them as columns.
     axes, origin, spacing = (
         " ".join(f"{v:.17g}" for v in values) for values in (grid.axes.T.ravel(), grid.origin, grid.spacing)
     )
     parts = "ElementNumberOfChannels = 3\n" if vector else ""
+    kind = "MET_UCHAR" if bytes_ else "MET_FLOAT"
     return (
         "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\nCompressedData = False\n"
         f"TransformMatrix = {axes}\nOffset = {origin}\nCenterOfRotation = 0 0 0\nAnatomicalOrientation = RAI\n"
-        f"ElementSpacing = {spacing}\nDimSize = {' '.join(map(str, grid.size))}\n{parts}ElementType = MET_FLOAT\n"
+        f"ElementSpacing = {spacing}\nDimSize = {' '.join(map(str, grid.size))}\n{parts}ElementType = {kind}\n"
         "ElementDataFile = LOCAL\n"
     ).encode("ascii")
 
 
-def _nrrd_header(grid: Grid, vector: bool) -> bytes:
+def _nrrd_header(grid: Grid, vector: bool, bytes_: bool) -> bytes:
     columns = (grid.axes * np.array(grid.spacing)).T
     directions = " ".join(f"({','.join(f'{v:.17g}' for v in column)})" for column in columns)
-    sizes = " ".join(map(str, grid.size))
+    sizes, number = " ".join(map(str, grid.size)), "uint8" if bytes_ else "float"
     kinds = "domain domain domain"
     if vector:
         sizes, kinds, directions = f"3 {sizes}", f"vector {kinds}", f"none {directions}"
     return (
-        f"NRRD0004\ntype: float\ndimension: {4 if vector else 3}\nspace: left-posterior-superior\nsizes: {sizes}\n"
+        f"NRRD0004\ntype: {number}\ndimension: {4 if vector else 3}\nspace: left-posterior-superior\nsizes: {sizes}\n"
         f"space directions: {directions}\nkinds: {kinds}\nendian: little\nencoding: gzip\n"
         f"space origin: ({','.join(f'{v:.17g}' for v in grid.origin)})\n\n"
     ).encode("ascii")
 
 
-def _nifti_header(grid: Grid, vector: bool) -> bytes:
-    """Return the header of a float32 volume, or of a vector field (intent 1007)."""
+def _nifti_header(grid: Grid, vector: bool, bytes_: bool) -> bytes:
+    """Return the header of a float32 or uint8 volume, or of a vector field (intent 1007)."""
     header = bytearray(352)  # with the four that say whether extensions follow
     struct.pack_into("<i", header, 0, 348)
     x, y, z = grid.size
     struct.pack_into("<8h", header, 40, *((5, x, y, z, 1, 3, 1, 1) if vector else (3, x, y, z, 1, 1, 1, 1)))
-    struct.pack_into("<3h", header, 68, 1007 if vector else 0, 16, 32)
+    struct.pack_into("<3h", header, 68, 1007 if vector else 0, *((2, 8) if bytes_ else (16, 32)))
     axes = np.diag([-1.0, -1.0, 1.0]) @ grid.axes  # RAS
     origin = np.array([-1.0, -1.0, 1.0]) * np.array(grid.origin)
     flip = -1.0 if np.linalg.det(axes) < 0 else 1.0
