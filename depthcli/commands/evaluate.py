@@ -62,6 +62,9 @@ def evaluate(
     threshold: Annotated[
         float | None, Option(metavar="T", min=1e-6, help="Threshold of wrong pixels. Default: the benchmark's.")
     ] = None,
+    compare: Annotated[
+        str, Option(metavar="best|all", help="Test the runs against the best, or all pairs of them.")
+    ] = "best",
     flag: FlagOption = None,
     fail_flagged: FailFlaggedOption = False,
     html: Annotated[bool, Option("--html", help="Also write report.html: maps and errors in a browser.")] = False,
@@ -80,6 +83,8 @@ def evaluate(
     reporter, places = printing.reporter, find_runs(runs)
     of_all, own = given_naming(places, "--maps", maps, scale, invalid)
     check_tables(tables)
+    if compare not in ("best", "all"):
+        raise ConfigError(f"--compare: must be best or all (got {compare!r})")
     settings = Settings(of_all.scale, (resolution or "").upper() or None, threshold, _size(resize), of_all.invalid)
     scored_by = None if protocol is None else load(protocol)(settings)
     truth = local(truth)
@@ -89,6 +94,7 @@ def evaluate(
         settings,
         {run: naming.over(MapNaming(of_all.pattern)) for run, naming in own.items()},
         conditions=conditions_of(flag, fail_flagged),
+        with_pairs=compare == "all",
         viewers=viewers(reporter, output, html, html_budget),
         reporter=reporter,
     )

@@ -14,7 +14,7 @@ from depthcli.core.text import summarized
 from depthcli.evaluation.bounds import bound_means
 from depthcli.evaluation.protocols import AnyProtocol, scene_means
 from depthcli.evaluation.scores import COMMON_MEAN, MEAN, Key, MapResult, Score, in_order, record
-from depthcli.evaluation.statistics import Ranking, average_ranks
+from depthcli.evaluation.statistics import PairedTest, Ranking, average_ranks, compare_all
 from depthcli.run.flags import Flags
 
 
@@ -108,7 +108,13 @@ class Section:
         sign = self.protocol.headline.sign
         both = {run: [sign * self.overall(run, place).value for place in (MEAN, COMMON_MEAN)] for run in self.runs}
         order = sorted(self.runs, key=lambda run: [(math.isnan(v), 0.0 if math.isnan(v) else v) for v in both[run]])
-        return Ranking(order, {run: self.by_scene(run) for run in self.runs})
+        ranks = self.average_rank(self.figure_keys) if len(order) > 1 else None
+        return Ranking(order, {run: self.by_scene(run) for run in self.runs}, ranks)
+
+    @cached_property
+    def pairs(self) -> list[tuple[str, str, PairedTest, float]]:
+        """Run, other run, test of the second against the first, and its corrected p value: all pairs of runs."""
+        return compare_all({run: self.by_scene(run) for run in self.ranking.runs})
 
     def average_rank(self, keys: Sequence[Key]) -> dict[str, float]:
         """Return run -> mean rank over the common scenes and (metric, region) pairs; equal values share a rank."""
@@ -129,7 +135,8 @@ class Section:
                     COMMON_MEAN: f"over the {counts['common']} scenes that all runs have",
                 }
                 for place, note in notes.items():
-                    where = {"run": run, "data_set": self.data_set, "scene": place, "protocol": self.protocol.name}
+                    word = place.replace("mean", self.protocol.presentation.mean_heading)
+                    where = {"run": run, "data_set": self.data_set, "scene": word, "protocol": self.protocol.name}
                     made.append(record(where, self.score(run, place, key), note=note))
             where = {"run": run, "data_set": self.data_set, "scene": MEAN, "protocol": self.protocol.name}
             note = f"over {sum(bool(r.bounds) for r in self.results_of(run))} maps with bounds"
@@ -163,8 +170,14 @@ class Section:
             found["comparisons"].append({**about, "run": run, "against": ranking.runs[0], **vars(test), **result})
         return found
 
+    def pair_rows(self) -> list[dict[str, Any]]:
+        """Return the tests of all pairs of runs as plain values."""
+        about = {"data_set": self.data_set, "protocol": self.protocol.name}
+        return [{**about, "run": b, "against": a, **vars(test), "p_holm": p} for a, b, test, p in self.pairs]
+
     def _mean_row(self, run: str, score: Score, common: Score) -> dict[str, Any]:
-        return score.row() | self._counts(run, score.region) | {"value_common": common.value}
+        row = score.row() | self._counts(run, score.region) | {"value_common": common.value}
+        return row | {"statistic": self.protocol.presentation.mean_heading}
 
     def _counts(self, run: str, region: str) -> dict[str, int]:
         """Return the numbers of scenes with truth in a region: all, those that the run lacks, those all runs have."""
@@ -184,6 +197,7 @@ class EvaluationReport:
     plugins: dict[str, str] = field(default_factory=dict)  # package -> version, of those that took part
     flags: Flags = field(default_factory=Flags)
     unwritten: dict[str, str] = field(default_factory=dict)  # file of a page or sheet -> why it could not be written
+    with_pairs: bool = False  # all pairs of runs are tested
 
     @property
     def incomplete(self) -> bool:
@@ -198,14 +212,24 @@ class EvaluationReport:
     @property
     def warnings(self) -> list[str]:
         """What looks wrong with the scenes and maps, one line each."""
-        return [*self.hints, *(f"{run}: {scene}: {line}" for run, scene, line in self._of_maps(with_reports=True))]
+        of_maps = self._of_maps(with_reports=True)
+        return [*self.hints, *self._left_out(), *(f"{run}: {scene}: {line}" for run, scene, line in of_maps)]
+
+    def _left_out(self) -> list[str]:
+        """Return a line for each run that is not compared on a data set."""
+        return [
+            f"{run}: no map of {section.data_set} can be read: left out of its tables, ranks and tests"
+            for section in self.sections
+            for run in self.runs
+            if run not in section.runs
+        ]
 
     def warning_lines(self, with_reports: bool = True) -> list[str]:
         """Return ``warnings``, one line for warnings of a run that differ in numbers and scenes alone.
 
         ``with_reports=False`` leaves out warnings of the runs' own reports.
         """
-        found, of_maps = list(self.hints), self._of_maps(with_reports)
+        found, of_maps = [*self.hints, *self._left_out()], self._of_maps(with_reports)
         for name in self.runs:
             lines = summarized((scene, line) for run, scene, line in of_maps if run == name)
             found += [f"{name}: {line}" for line in lines]
@@ -228,7 +252,13 @@ class EvaluationReport:
         for result in self.results:
             if result.scores:
                 groups.setdefault((result.data_set, result.protocol), []).append(result)
-        return [Section(d, self.protocols[p], self.runs, results) for (d, p), results in groups.items()]
+        made = []
+        for (data_set, protocol), results in groups.items():
+            # A run without any map of the data set was not computed, or cannot be read: it is not compared.
+            runs = tuple(run for run in self.runs if any(r.run == run and not r.error for r in results)) or self.runs
+            kept = [result for result in results if result.run in runs]
+            made.append(Section(data_set, self.protocols[protocol], runs, kept))
+        return made
 
     def records(self) -> list[dict[str, Any]]:
         """Return the rows of ``scores.csv``: every number of all results, then the means of every section."""
@@ -249,4 +279,5 @@ class EvaluationReport:
             "warnings": self.warnings,
             **self.flags.to_dict(),
             **({"unwritten": self.unwritten} if self.unwritten else {}),
+            **({"pairs": [row for section in self.sections for row in section.pair_rows()]} if self.with_pairs else {}),
         }

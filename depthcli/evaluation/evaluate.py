@@ -84,6 +84,7 @@ class Choices:
     naming: Mapping[str, MapNaming] = field(default_factory=dict)  # of a run's maps; the rest is recognized
     rows: Mapping[str, Row] | None = None  # scene -> row of the report of the only run; None: read from the runs
     conditions: Sequence[Condition] = ()  # on scores and on columns of the runs' reports, by which scenes are flagged
+    with_pairs: bool = False  # all pairs of runs are tested, not those with the best alone
     viewers: Sequence[Viewer] = ()  # which show the maps, if there is a folder for the results
     reporter: Reporter = field(default_factory=lambda: Reporter(-1))
 
@@ -235,7 +236,14 @@ class _Scoring:
         plugins = layout_plugins(scenes) | format_plugins(files) | plugins_of(map(type, protocols.values()))
         hints, used = (*self.hints, *self._misfits()), versions_here(plugins)
         report = EvaluationReport(
-            tuple(self.runs), tuple(results), protocols, origin(self.truth), hints, used, unwritten=self.unwritten
+            tuple(self.runs),
+            tuple(results),
+            protocols,
+            origin(self.truth),
+            hints,
+            used,
+            unwritten=self.unwritten,
+            with_pairs=self.choices.with_pairs,
         )
         if not self.choices.conditions:
             return report

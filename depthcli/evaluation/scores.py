@@ -22,7 +22,7 @@ MISSING_IS_BAD = "missing counts as bad"
 MISSING_APART = "missing counted apart (invalid)"
 ESTIMATED_ONLY = "estimated pixels only"
 
-MEAN, COMMON_MEAN = "*mean", "*common mean"
+MEAN, COMMON_MEAN, _COMMON = "*mean", "*common mean", "*common "
 """Scene names of means: over all scenes, and over the scenes for which every run has a map."""
 
 
@@ -190,7 +190,7 @@ def record(where: Mapping[str, str], score: Score | None, source: str = "", note
     run folder. Without a score, the note has the reason.
     """
     cells = {"metric": "failed"} if score is None else score.row()
-    if where["scene"] == COMMON_MEAN:
+    if where["scene"].startswith(_COMMON):
         cells |= {"density": None, "pixels": None, "wrong": None}
     cells |= {**where, "map": source, "note": note}
     found = {name: cells.get(name) for name in _COLUMNS.split()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -129,6 +130,13 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return corrected
 
 
+def compare_all(by_scene: Mapping[str, Sequence[float]]) -> list[tuple[str, str, PairedTest, float]]:
+    """Return run, other run, their test, and its p value corrected for all pairs after Holm."""
+    found = [(a, b, compare(by_scene[a], by_scene[b])) for a, b in itertools.combinations(by_scene, 2)]
+    corrected = holm([test.p_value for *_, test in found])
+    return [(*each, p) for each, p in zip(found, corrected, strict=True)]
+
+
 class Ranking:
     """Runs in the order of their single figure, and the test of every further one against the best.
 
@@ -136,10 +144,14 @@ class Ranking:
     ----------
     runs : names, the best first
     by_scene : run -> figure of every scene, lower is better, NaN for none
+    ranks : run -> average rank that is printed beside the words, which follow it; empty: the tests' own
     """
 
-    def __init__(self, runs: Sequence[str], by_scene: Mapping[str, Sequence[float]]) -> None:
+    def __init__(
+        self, runs: Sequence[str], by_scene: Mapping[str, Sequence[float]], ranks: Mapping[str, float] | None = None
+    ) -> None:
         best, *others = self.runs = tuple(runs)
+        self.ranks = {run: rank for run, rank in (ranks or {}).items() if not math.isnan(rank)}
         self.tests = {run: compare(by_scene[best], by_scene[run]) for run in others}
         corrected = holm([test.p_value for test in self.tests.values()])
         self.p_values = dict(zip(others, corrected, strict=True))  # NaN without a common scene
@@ -152,14 +164,15 @@ class Ranking:
     def word(self, run: str) -> str:
         """Return the verdict of the test on a run, in a word or two."""
         if run not in self.tests:
-            return "best"
+            return "best" if self.ranks.get(run, 0.0) <= min(self.ranks.values(), default=0.0) else "best figure"
         if not self.tests[run].scenes:
             return "no common scene"
         if smallest_p(self.tests[run].scenes, self.n_tests) >= SIGNIFICANT:
             return "too few scenes"
         if not self.is_significant(run):
             return "not significant"
-        return "worse" if self.tests[run].rank_difference > 0 else "better in most"
+        behind = self.ranks.get(run, 0.0) - self.ranks.get(self.runs[0], 0.0) or self.tests[run].rank_difference
+        return "worse" if behind > 0 else "better in most"
 
     def verdict(self) -> str:
         """Return the results of the tests, in a sentence or two; empty for one run."""

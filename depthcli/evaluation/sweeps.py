@@ -175,7 +175,8 @@ def effects(axes: Axes, figures: Mapping[Combination, float], larger_is_better: 
 def text_of(section: Section, comparison: Row) -> str:
     """Return the comparison of the runs of one data set as two tables."""
     headline, rows = section.protocol.headline, comparison["runs"]
-    title = f"{section.data_set} - {section.protocol.presentation.title}, mean of {len(section.scenes)} scenes"
+    presentation = section.protocol.presentation
+    title = f"{section.data_set} - {presentation.title}, {presentation.mean_heading} of {len(section.scenes)} scenes"
     more = f"; the first {_MAX_SHOWN} of {len(rows)}" if len(rows) > _MAX_SHOWN else ""
     best = tuple(
         (f"{row['run']} *" if row["own_values"] else row["run"], Number(row[headline.heading]), Number(row["seconds"]))

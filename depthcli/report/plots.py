@@ -33,16 +33,16 @@ def plots(section: Section) -> dict[str, str]:
     """Return caption -> text of an SVG file, of all plots that the section has numbers for."""
     made = {}
     metric = section.protocol.headline.heading_with_unit
-    what = f"{metric}, {section.regions[0]}"
+    what, word = f"{metric}, {section.regions[0]}", section.protocol.presentation.mean_heading
     if len(section.scenes) > 2:
         made[f"Spread over the scenes ({what}): box: middle half; line: median; dots: scenes"] = _boxes(section, what)
     if lines := {run: scores for run in section.ranking.runs if (scores := section.threshold_curve(run))}:
-        caption = f"Against the threshold, over all scenes{_best(len(lines))}; dots: thresholds of the tables"
+        caption = f"Against the threshold, {word} of all scenes{_best(len(lines))}; dots: thresholds of the tables"
         lines = dict([*lines.items()][:_MAX_CURVES])
         made[caption] = _by_threshold(section, {run: lines[run] for run in section.runs if run in lines})
     if any(not math.isnan(r.seconds) for r in section.results):
         of_all = f"{metric}, {' + '.join(section.figure_regions)}"
-        made[f"Time against {of_all}: means of a scene"] = _times(section, of_all)
+        made[f"Mean time of a scene against {of_all}, {word} of all scenes"] = _times(section, of_all)
     if coverage := _coverage(section):
         what = f"Coverage of the bounds against their level, {section.regions[0]}: means over the maps"
         made[f"{what}; dotted: as promised"] = coverage

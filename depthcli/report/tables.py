@@ -20,7 +20,7 @@ from depthcli.evaluation.scores import COMMON_MEAN, ESTIMATED_ONLY, MEAN, Key
 from depthcli.evaluation.statistics import mean_of_known
 from depthcli.show.table import FORMATS, Column, Number, Table
 
-NAMES = ("headline", "overview", "metrics", "scenes", "further", "bounds", "confidence", "hidden", "missing")
+NAMES = ("headline", "overview", "pairs", "metrics", "scenes", "further", "bounds", "confidence", "hidden", "missing")
 """Names of tables, which a region or run and a data set may follow, as in ``metrics-nonocc``."""
 
 MISSING = "*: scenes without a map count as wholly wrong; where a metric has no worst value there is no mean over all"
@@ -39,7 +39,10 @@ def short(scene: str) -> str:
 
 def report_tables(report: EvaluationReport) -> list[Table]:
     """Return all narrow tables of an evaluation."""
-    made = [table for section in report.sections for table in _named(report, section, section_tables(section))]
+    made = []
+    for section in report.sections:
+        pairs = [pair_table(section)] if report.with_pairs and len(section.runs) > 1 else []
+        made += _named(report, section, [*section_tables(section), *pairs])
     return overview(report) + made + further_tables(report)
 
 
@@ -53,13 +56,13 @@ def _named(report: EvaluationReport, section: Section, tables: Sequence[Table]) 
 def section_tables(section: Section) -> list[Table]:
     """Return the narrow tables of one data set: summary, every metric by region, headline by scene, the protocol's."""
     presentation, scenes, headline = section.protocol.presentation, section.scenes, section.protocol.headline
-    made = [summary(section)]
+    word, made = presentation.mean_heading, [summary(section)]
     scene_rows = scenes if presentation.scene_rows else []
     mean_rows = [] if scene_rows and len(scenes) == 1 else section.places
     for region in section.regions:
         keys = [key for key in section.keys if key[1] == region]
         rows = [
-            (run, short(place) if place in scenes else f"mean of {_n_scenes(section, run, place, region)}",
+            (run, short(place) if place in scenes else f"{word} of {_n_scenes(section, run, place, region)}",
              *(_cell(section, run, place, key) for key in keys))
             for run in section.runs for place in (*scene_rows, *mean_rows)
         ]  # fmt: skip
@@ -100,7 +103,9 @@ def summary(section: Section) -> Table:
         columns.append(Column(_region_heading(section, region), cells.__getitem__, better))
     if len(figures) > 1:
         cells = {row: _number(section, *row, section.overall(*row).value) for row in rows}
-        columns.append(Column(f"mean of {len(section.scenes) * len(figures)}", cells.__getitem__, better))
+        word = protocol.presentation.mean_heading
+        count = len(section.scenes) * len(figures) if word == "mean" else len(section.scenes)
+        columns.append(Column(f"{word} of {count}", cells.__getitem__, better))
     if with_tests:  # of the last mean of a run
         ranks = section.average_rank(section.figure_keys)
         tests = {(run, places[-1]): (Number(ranks[run], 1), *_test(section, run)) for run in section.runs}
@@ -146,7 +151,8 @@ def bound_tables(section: Section) -> list[Table]:
             covered.append((result.run, short(result.scene), shares))
     surest = [f"bad of {score.metric.threshold:g} %" for score in bad]
     note = (
-        "over pixels with truth and value; coverage: share whose error is within the bound, which promises the level; "
+        "over pixels with truth and value; coverage: of the finite bounds, the share that the error is within; they "
+        "promise the level; finite: share of bounds that are (the others are open: the search ends before); "
         "covering maps: those whose coverage is at most 10 points below; mean/constant: mean finite bound over the "
         "constant one with the same coverage; bad: wrong pixels, by the headline's rule, among so many of the smallest "
         "bounds; means over the maps; said: by the map's own status"
@@ -159,6 +165,21 @@ def bound_tables(section: Section) -> list[Table]:
         title = f"{title}, coverage % by scene"
         made.append(Table.of_cells(title, ("run", "scene", *regions), by_scene, name="bounds-scenes"))
     return made
+
+
+def pair_table(section: Section) -> Table:
+    """Return the tests of all pairs of runs of one data set."""
+    rows = [
+        (b, a, str(test.scenes), str(test.wins), str(test.losses), *("-" if math.isnan(v) else f"{v:.2g}" for v in ps))
+        for a, b, test, p in section.pairs
+        for ps in [(test.p_value, p)]
+    ]
+    note = (
+        "wins, losses: scenes on which the run's figure is better or worse than the other's; p: Wilcoxon signed-rank "
+        f"test over the scenes; p (Holm): corrected for all {len(rows)} pairs"
+    )
+    header = ("run", "against", "scenes", "wins", "losses", "p", "p (Holm)")
+    return Table.of_cells(f"{section.data_set} - all pairs of runs", header, rows, note, "pairs")
 
 
 def _test(section: Section, run: str) -> tuple[str, str, str, str]:
@@ -206,7 +227,7 @@ def overview(report: EvaluationReport) -> list[Table]:
     """Return the single figure of every run in every data set, where there are several; none is over all of them."""
     if len(report.sections) < 2:
         return []
-    header = ["data set", "protocol", "metric", "mean of", "run", "scenes", "figure"]
+    header = ["data set", "protocol", "metric", "regions", "run", "scenes", "figure"]
     cells = [
         (
             section.data_set,
@@ -247,7 +268,10 @@ def further_tables(report: EvaluationReport) -> list[Table]:
     several = len(report.sections) > 1
     for (data_set, _, run, *what), curves in groups.items():
         if len(curves) > 1:
-            rows.append((run, f"mean of {len(curves)}" + f" of {data_set}" * several, *what, *_areas(curves)))
+            of = f" of {len(curves)}" + f" of {data_set}" * several
+            rows.append((run, f"mean{of}", *what, *_areas(curves)[:-1], "-"))
+            if (ece := _areas(curves)[-1]) != "-":
+                rows.append((run, f"pooled{of}", *what, *["-"] * 8, ece))
     for (data_set, run), found in pooled.items():
         if len(found) > 1:
             shares = (Number(value, 1) for value in HiddenPixels.pooled(found).shares().values())
@@ -257,7 +281,7 @@ def further_tables(report: EvaluationReport) -> list[Table]:
         "sparsification over the estimated pixels, of wrong ones (bad: by the headline's rule) and of the error; AUC: "
         "integral over all shares; random: their mean; AUSE, AURG: distance to optimal and random; 5-100: trapezoid "
         "over 5..100 %, as LAF-Net and the survey of Poggi et al. take it; ECE: expected calibration error, where the "
-        "confidence is a probability; a mean's is over all pixels together"
+        "confidence is a probability; pooled: over all pixels together"
     )
     hidden_note = (
         "pixels that the right view does not see, by status.png (occluded, or out of view) against the truth (in all, "
@@ -323,7 +347,8 @@ def _wide_by_metric(section: Section, region: str) -> Table:
     """Return the means of all metrics in one region: a column for every metric, and times."""
     columns = [(key[0].heading, MEAN, key) for key in section.keys if key[1] == region]
     known = section.known[region]
-    over = f"means over {len(known)} scenes" if len(known) > 1 else ", ".join(map(short, known))
+    word = section.protocol.presentation.mean_heading
+    over = f"{word} of {len(known)} scenes" if len(known) > 1 else ", ".join(map(short, known))
     return _wide(section, f"{section.data_set}: {over}, {region}", f"metrics-{region}", columns)
 
 
@@ -362,8 +387,9 @@ def headline_text(report: EvaluationReport) -> str:
         spare = ["avg rank", f"density {section.regions[0]} %", "seconds"]
         spare += [_region_heading(section, region) for region in section.regions[:0:-1]]
         note = ". ".join(filter(None, [MISSING * (len(section.places) > 1), _gaps_note(section), _tests_note(section)]))
-        return replace(table, note=note).fitted(_WIDTH, spare, ["run"]).text(_WIDTH)
-    fitted = (each.fitted(_WIDTH, ["protocol", "losses", "mean of"], ["data set", "run"]) for each in overview(report))
+        text = replace(table, note=note).fitted(_WIDTH, spare, ["run"]).text(_WIDTH)
+        return text + (f"\n{pair_table(section).text(_WIDTH)}" if report.with_pairs and len(section.runs) > 1 else "")
+    fitted = (each.fitted(_WIDTH, ["protocol", "losses", "regions"], ["data set", "run"]) for each in overview(report))
     return "".join(table.text(_WIDTH) for table in fitted)
 
 

@@ -89,9 +89,10 @@ TABLES = (
     Term("protocol", "rules by which a scene is scored"),
     Term("metric", "name of a metric: the first columns of this list"),
     Term("mask", "region of pixels that the number is over: nonocc, all, disc and the like", also=("region",)),
-    Term("figure", "mean of the headline over the scenes, in the regions of the column 'mean of'"),
-    Term("mean of", "regions that the figure is over"),
-    Term("mean of N", "mean over N scenes; of the headline table, over N figures: each scene's in each region",
+    Term("figure", "headline over the scenes, in the regions of the column 'regions': a mean, or pooled"),
+    Term("regions", "regions that the figure is over"),
+    Term("mean of N", "mean over N scenes; of the headline table, over N figures: each scene's in each region; pooled: "
+         "computed from the pixels or points of all N scenes together, which is no mean of the scenes' numbers",
            also=("mean", "pooled"), pattern=r"(mean|pooled) of \d+( common)?"),
     Term("REGION (N of M)", "headline in a region where N of M scenes have truth", pattern=r".* \(\d+ of \d+\)"),
     Term("avg rank", "mean rank of the run over scenes and regions, 1 the best; equal values share one"),

@@ -320,6 +320,28 @@ def test_absurd_values_and_damaged_maps_never_break_the_job(tmp_path: Path, trut
         (run / "a" / "disp_left.pfm").write_bytes(data)
 
 
+def test_a_run_that_cannot_be_read_is_left_out_and_pairs_are_compared(tmp_path: Path, truth: Path, capsys):
+    good = exact(truth)
+    runs = [
+        run_of(tmp_path / name, {"a": good + 2 * k, "b": good + 2 * k})
+        for k, name in enumerate(("one", "two", "three"))
+    ]
+    (tmp_path / "three" / "a" / "disp_left.pfm").write_bytes(b"no map")
+    (tmp_path / "three" / "b" / "disp_left.pfm").write_bytes(b"no map")
+    words = ["evaluate", *map(str, runs), "--truth", str(truth), "-o", str(tmp_path / "out"), "--compare"]
+    assert main([*words, "all"]) == 3
+    out, err = capsys.readouterr()
+    assert "three" not in out
+    assert any("three" in line and "left out" in line for line in err.splitlines())
+    assert "all pairs of runs" in out and "all pairs of runs" in (tmp_path / "out" / "report.md").read_text()
+    document = json.loads((tmp_path / "out" / "scores.json").read_text())
+    assert [(pair["run"], pair["against"], pair["losses"]) for pair in document["pairs"]] == [("two", "one", 2)]
+    assert {row["run"] for row in document["means"]} == {"one", "two"}
+    assert len(document["failed"]) == 2
+    assert main([*words, "some"]) == 2
+    assert "--compare" in capsys.readouterr().err
+
+
 def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Path):
     good = exact(truth)
     poor = good.copy()

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from depthcli.evaluation.statistics import Ranking
+from depthcli.evaluation.statistics import Ranking, compare_all, holm
 
 NINE = [float(k) for k in range(1, 10)]
 
@@ -31,6 +31,21 @@ def test_verdicts(others: dict[str, list[float]], said: str, words: list[str]):
     assert all(ranking.word(run).startswith(word) for run, word in zip(["a", *others], words, strict=True))
     for run in others:
         assert ranking.is_significant(run) == (ranking.word(run) in ("worse", "better in most"))
+
+
+def test_the_verdict_follows_the_rank_beside_it():
+    worse = {"a": NINE, "b": [v + 1 + v / 99 for v in NINE]}
+    assert [Ranking("ab", worse, {"a": 1.2, "b": 1.8}).word(run) for run in "ab"] == ["best", "worse"]
+    ranking = Ranking("ab", worse, {"a": 1.8, "b": 1.2})
+    assert [ranking.word(run) for run in "ab"] == ["best figure", "better in most"]
+
+
+def test_all_pairs_are_corrected_together():
+    scores = {name: [v + k + k * v / 99 for v in NINE] for k, name in enumerate("abc")}
+    pairs = compare_all(scores)
+    assert [pair[:2] for pair in pairs] == [("a", "b"), ("a", "c"), ("b", "c")]
+    assert [test.losses for _, _, test, _ in pairs] == [9, 9, 9]
+    assert [p for *_, p in pairs] == holm([test.p_value for _, _, test, _ in pairs])
 
 
 @pytest.mark.parametrize(("scenes", "runs", "enough"), [(4, 1, 6), (1, 1, 6), (6, 2, 7), (6, 9, 9)])

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from depthcli.core.volumes import Grid
-from depthcli.evaluation.comparison import Section
+from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.protocols import missing_scores, registration
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol, error_classes
 from depthcli.evaluation.scores import COMMON_MEAN, MEAN, MapResult
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.volume_pairs import RegistrationTruth
+from depthcli.report.tables import chosen_text
 
 
 def test_correlation():
@@ -106,3 +107,22 @@ def test_what_a_run_lacks_changes_no_other_runs_figures():
     common = [beside.score(run, COMMON_MEAN, key) for run in ("whole", "lacking")]
     assert common[0] == common[1]
     assert common[0].value == pytest.approx(values(PROTOCOL.mean(whole[:2]))["Spearman"])
+
+
+def test_one_word_and_one_number_for_what_is_no_mean():
+    results = tuple(result(f"set/{k}", *errors_along_x(k, (2, 3, 10 + 20 * k))) for k in range(3))
+    report = EvaluationReport(("run",), results, {PROTOCOL.name: PROTOCOL}, "truth")
+    (section,) = report.sections
+    key = PROTOCOL.headline, "voxels"
+    value = section.score("run", MEAN, key).value
+    assert value != pytest.approx(
+        np.mean([section.score("run", scene, key).value for scene in section.scenes]), abs=1e-3
+    )
+    narrow, latex = chosen_text(report, ["all"]), chosen_text(report, [], form="latex")
+    assert "pooled of 3" in narrow and "pooled of 3" in latex
+    assert "mean of 3" not in narrow + latex
+    assert f"{value:.2f}" in narrow and f"{value:.2f}" in latex
+    rows = {row["scene"]: row for row in report.records() if row["metric"] == "Spearman"}
+    assert rows["*pooled"]["value"] == value and "*mean" not in rows
+    (mean,) = (row for row in report.to_dict()["means"] if row["metric"] == "Spearman")
+    assert (mean["statistic"], mean["value"]) == ("pooled", value)

@@ -53,7 +53,7 @@ class Kitti2015Protocol(Kitti2012Protocol):
         title="KITTI 2015: D1, %; background-interpolated maps",
         note=(
             "D1: > 3 px and >= 5 %; out, avgerr: as KITTI 2012; est: estimated pixels only, 0 without any; "
-            "means: all frames pooled"
+            "pooled: over the pixels of all frames"
         ),
         visible_region="noc",
         mean_heading="pooled",
