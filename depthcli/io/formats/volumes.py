@@ -220,9 +220,9 @@ def _unknown_in_nifti(path: Path, reader: Any) -> NDArray[np.float32] | None:
     start = (nifti_header(path) or data)[:2] if suffix_of(path) == ".img" else data[:2]
     start = read_bytes(path)[:2] if suffix_of(path) == ".hdr" else start
     order = "<" if start == struct.pack("<h", 348) else ">"
-    values = np.frombuffer(data, order + kind, n_values, offset)
-    known = np.isfinite(values)
-    return None if known.all() else np.where(known, 0, values).astype(np.float32)
+    stored = np.frombuffer(data, order + kind, n_values, offset)
+    known = np.isfinite(stored)
+    return None if known.all() else np.where(known, 0, stored).astype(np.float32)
 
 
 @contextlib.contextmanager
