@@ -14,6 +14,7 @@ from depthcli.core.frames import color8
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_color8, read_grey, read_image, read_pair, write_png
+from depthcli.io.formats.masks import read_mask
 from depthcli.problems.inputs import as_color8
 
 RNG = np.random.default_rng(0)
@@ -145,3 +146,17 @@ def test_the_rest_of_a_file_of_several_images_is_refused_or_named(tmp_path: Path
         with collected_warnings() as lines:
             read_image(tmp_path / name)
         assert any(f"{name}: " in line and words in line for line in lines)
+
+
+def test_codes_of_which_zero_is_white_are_refused(tmp_path: Path):
+    for values in (GREY > 30000, GREY):
+        path = stored(tmp_path, values, photometric="miniswhite")
+        for read in (read_grey, read_mask):
+            with pytest.raises(InputError, match=r"a\.tif: .*0 is white"):
+                read(path)
+
+
+def test_big_tiff_in_either_order(tmp_path: Path):
+    np.testing.assert_array_equal(read_image(stored(tmp_path, RGB, photometric="rgb", bigtiff=True)), RGB)
+    with pytest.raises(InputError, match=r"a\.tif: a BigTIFF in big-endian"):
+        read_image(stored(tmp_path, RGB, photometric="rgb", bigtiff=True, byteorder=">"))

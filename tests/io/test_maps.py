@@ -140,6 +140,16 @@ def test_marks_of_no_value_are_the_same_for_maps_and_truth(tmp_path: Path, mark:
     assert any(f"22.5 % of the pixels are {mark:g}" in line for line in lines)
 
 
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, np.int16])
+def test_a_mark_that_is_given_is_rounded_as_the_numbers(tmp_path: Path, dtype):
+    np.save(tmp_path / "a.npy", np.array([[-9999, 3, 4.0]]).astype(dtype))
+    for found in (
+        read_foreign_map(tmp_path / "a.npy", 1.0, -9999.0),
+        known_truth(tmp_path / "a.npy", read_disparity(tmp_path / "a.npy", 1.0), -9999.0),
+    ):
+        np.testing.assert_array_equal(found, np.array([[np.nan, 3, 4]], np.float32))
+
+
 def test_several_marks_and_a_few_pixels(tmp_path: Path):
     values = np.random.default_rng(0).uniform(2, 40, (40, 60)).astype(np.float32)
     values[0, :4], values[1, :9], values[2:6], values[7, 0] = -9999, 1e6, -1, 55

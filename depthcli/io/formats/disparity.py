@@ -41,8 +41,15 @@ def without_value(stored: NDArray[Any], invalid: float | None = None, positive: 
         )
         none |= ~np.isfinite(stored)
         if invalid is not None:
-            none |= stored == np.float32(invalid)
+            none |= is_mark(stored, invalid)
         return none
+
+
+def is_mark(stored: NDArray[Any], invalid: float) -> NDArray[np.bool_]:
+    """Return where numbers are ``invalid``, rounded as they are."""
+    with np.errstate(over="ignore"):
+        mark = stored.dtype.type(invalid) if stored.dtype.kind == "f" else invalid
+    return np.asarray(stored == mark)
 
 
 class ForeignConstant(NamedTuple):
@@ -135,7 +142,7 @@ def known_truth(path: Path | str, disparity: NDArray[np.float32], invalid: float
         stored = disparity
         with contextlib.suppress(InputError):  # of packed colors
             stored = read_plane(path)
-        return np.where(stored == np.float32(invalid), np.float32(np.nan), disparity)
+        return np.where(is_mark(stored, invalid), np.float32(np.nan), disparity)
     for constant in foreign_constants(path, disparity):
         if constant.code == 0:
             warn(f"{shown(path)}: {constant}, which count as true disparities (--invalid 0 if they are unknown)")

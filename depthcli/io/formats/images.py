@@ -112,6 +112,9 @@ def read_grey(path: Path | str) -> Image:
 def decode_grey(data: bytes) -> Image:
     """Return what :func:`read_grey` does, from the bytes of a file."""
     pixels = decode_image(data)
+    if image_kind(data) == "Tiff" and _check_tiff(data).photometric == _MIN_IS_WHITE:
+        # Programs disagree on whether such codes are meant as stored.
+        raise InputError("a TIFF of codes in which 0 is white; store it as PNG, or with 0 black (MinIsBlack)")
     if pixels.ndim == 3 and not (pixels == pixels[..., :1]).all():
         raise InputError("a colour image, expected one channel of codes")
     return pixels if pixels.ndim == 2 else cast(Image, np.ascontiguousarray(pixels[..., 0]))
@@ -550,6 +553,8 @@ def _tiff_tags(file: IO[bytes]) -> Any:
 
     with _decoding("Tiff"):
         head = file.read(16)
+        if head.startswith(b"MM\0+"):
+            raise InputError("a BigTIFF in big-endian order, which is not read; store it in little-endian order")
         tags: Any = ImageFileDirectory_v2(head[: 16 if 43 in head[2:4] else 8])
         file.seek(tags.next)
         tags.load(file)
