@@ -327,7 +327,7 @@ def test_a_run_that_cannot_be_read_is_left_out_and_pairs_are_compared(tmp_path: 
         for k, name in enumerate(("one", "two", "three"))
     ]
     (tmp_path / "three" / "a" / "disp_left.pfm").write_bytes(b"no map")
-    (tmp_path / "three" / "b" / "disp_left.pfm").write_bytes(b"no map")
+    (tmp_path / "three" / "b" / "disp_left.pfm").unlink()
     words = ["evaluate", *map(str, runs), "--truth", str(truth), "-o", str(tmp_path / "out"), "--compare"]
     assert main([*words, "all"]) == 3
     out, err = capsys.readouterr()
