@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import logging
 import os
 import shlex
 import signal
@@ -23,12 +24,15 @@ from typer.main import get_command
 
 from depthcli import __version__, commands
 from depthcli.commands._shared_options import PluginOption, with_groups
-from depthcli.core.errors import SOME_FAILED, ConfigError, DepthcliError, IncompleteError, Terminated
+from depthcli.core.errors import SOME_FAILED, ConfigError, DepthcliError, IncompleteError, Terminated, shortage
 from depthcli.core.plugins import load_plugin, plugin_behind
 from depthcli.run.console import Reporter, silence_warnings
 
 _STREAM_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 """System errors of a stream whose disk is full or whose device fails."""
+
+_MAY_BE_EMPTY = ("--caption", "--set")
+_MAX_THREADS = 1024
 
 _SETTINGS: dict[str, Any] = {
     "rich_markup_mode": None,
@@ -104,7 +108,10 @@ def main(arguments: list[str] | None = None) -> int:
     silence_warnings()
     with contextlib.suppress(ValueError):  # not the main thread
         signal.signal(signal.SIGTERM, _terminate)
+    said = _Once()
+    logging.getLogger("depthcli").addFilter(said)
     try:
+        _check_words(words)
         _load_plugins(words)
         code = int(app(words, prog_name="depthcli", standalone_mode=False, obj=shlex.join(["depthcli", *words])) or 0)
         if code == 130:
@@ -136,6 +143,9 @@ def main(arguments: list[str] | None = None) -> int:
             if error.code != 1 or "_DEPTHCLI_COMPLETE" in os.environ:
                 raise
             return 0  # the reader of a help text has closed the pipe (--help | head)
+        if not plugin and (text := shortage(error)):
+            _print_error(f"depthcli: {text}")
+            return 2
         _print_error(traceback.format_exc().rstrip())
         if plugin:
             _print_error(f"depthcli: plug-in {plugin}: {type(error).__name__}: {error}")
@@ -143,12 +153,38 @@ def main(arguments: list[str] | None = None) -> int:
         _print_error("depthcli: this is a bug, not something you did; please report the lines above")
         return 1
     finally:
+        logging.getLogger("depthcli").removeFilter(said)
         with contextlib.suppress(OSError, ValueError):
             sys.stdout.flush()
         try:
             sys.stderr.flush()
         except (OSError, ValueError):  # the interpreter's last flush would fail, and with it the exit code
             Reporter.close(sys.stderr)
+
+
+class _Once(logging.Filter):
+    """Lets each warning of a call pass once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._said: set[str] = set()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        text = record.getMessage()
+        is_new = text not in self._said
+        self._said.add(text)
+        return is_new
+
+
+def _check_words(words: Sequence[str]) -> None:
+    """Raise ConfigError for an empty option or argument, which would name the current folder, or a wrong variable."""
+    for before, word in pairwise(["", *words]):
+        name = word[:-1] if word.startswith("--") and word.endswith("=") else before
+        if (not word or word == f"{name}=") and name not in _MAY_BE_EMPTY:
+            raise ConfigError(f"{name if name.startswith('-') else 'an argument'}: is empty; is a variable not set?")
+    threads = os.environ.get("NUMBA_NUM_THREADS")
+    if threads is not None and not (threads.strip().isdecimal() and 1 <= int(threads) <= _MAX_THREADS):
+        raise ConfigError(f"NUMBA_NUM_THREADS: expected a whole number of threads (got {threads[:40]!r}); unset it")
 
 
 def _load_plugins(words: Sequence[str]) -> None:

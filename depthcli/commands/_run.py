@@ -24,12 +24,12 @@ from depthcli.io.scenes.places import local, origin
 from depthcli.io.scenes.rows import Layouts
 from depthcli.problems.given_maps import GivenMaps, with_maps
 from depthcli.problems.inputs import config_with_options
-from depthcli.problems.problem import SceneJob
+from depthcli.problems.problem import SceneJob, check_keep
 from depthcli.problems.rectified import reading_fields
 from depthcli.problems.stereo import PairConfig, with_reading
 from depthcli.run.console import Reporter
 from depthcli.run.flags import Flags, flag_rows
-from depthcli.run.folder import EVALUATION, LEGEND_FILE, refusal, saved_config, staging_folder
+from depthcli.run.folder import EVALUATION, LEGEND_FILE, check_folder, refusal, saved_config, staging_folder
 from depthcli.run.job import Execution, SceneT
 from depthcli.run.json_csv import Row, to_json
 from depthcli.run.records import read_record, report_document
@@ -123,12 +123,19 @@ def run_job(
     source : the options that the scenes were found by, whose folder may have ground truth
     """
     reporter, how = options.reporter, options.execution
+    check_keep(job, how.keep)
     if options.dry_run:
         plan = plan_of(job, scenes, options.output, how)
         if options.json:
             reporter.data(to_json(plan))
+        else:
+            reporter.info(_plan_text(plan, job.config))
+        if options.output != NOWHERE:
+            planned = Plan(job, scenes, options.output, how)
+            planned.check_names(how.own(scenes))
+            check_folder(options.output, planned.work.text, how.overwrite)
+        if options.json:
             return 0
-        reporter.info(_plan_text(plan, job.config))
     if options.dry_run or options.list_scenes:
         names = [scene.name for scene in how.own(scenes)]
         lines = "".join(f"{one_line(name)}\n" for name in names)

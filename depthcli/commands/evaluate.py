@@ -46,9 +46,10 @@ def evaluate(
         str | None,
         Option(metavar="NAME", help="How to score, such as kitti-2015. Default: by data set."),
     ] = None,
-    maps: Annotated[
+    pattern: Annotated[
         list[str] | None, Option(metavar="PATTERN", help="Path of a map, '{scene}/a.tiff'. Of one run: NAME=...")
     ] = None,
+    maps: Annotated[list[str] | None, Option(hidden=True)] = None,  # the old name of --pattern
     scale: Annotated[
         list[str] | None, Option(metavar="CODES", help="Codes per unit of integer files. Of one run: NAME=...")
     ] = None,
@@ -81,7 +82,9 @@ def evaluate(
     from depthcli.io.scenes.places import local
 
     reporter, places = printing.reporter, find_runs(runs)
-    of_all, own = given_naming(places, "--maps", maps, scale, invalid)
+    if maps:
+        reporter.info("warning: --maps is called --pattern here, as in all commands")
+    of_all, own = given_naming(places, "--pattern", [*(pattern or []), *(maps or [])], scale, invalid)
     check_tables(tables)
     if compare not in ("best", "all"):
         raise ConfigError(f"--compare: must be best or all (got {compare!r})")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+
 from depthcli.core.text import printable, without_secrets
 
 SOME_FAILED = 3
@@ -20,6 +22,25 @@ EXIT_CODES = {
     143: "ended by SIGTERM; the same command goes on where it stopped",
 }
 """Exit code -> meaning."""
+
+
+_NO_FILES = ("Too many open files",)
+_NO_MEMORY = (
+    "Cannot allocate memory", "failed to map segment", "can't start new thread", "Insufficient memory",
+    "Unable to allocate",
+)  # fmt: skip
+
+
+def shortage(error: BaseException | None) -> str:
+    """Return a line that says what of the machine an error, or one of its causes, ran out of; "": of nothing."""
+    while error is not None:
+        number, text = getattr(error, "errno", None), str(error)
+        if number in (errno.EMFILE, errno.ENFILE) or any(words in text for words in _NO_FILES):
+            return "too many open files for the limit of this process; raise it (ulimit -n)"
+        if isinstance(error, MemoryError) or number == errno.ENOMEM or any(words in text for words in _NO_MEMORY):
+            return "too little memory or address space; raise the limit (ulimit -v), or see --max-memory, --jobs"
+        error = error.__cause__ or error.__context__
+    return ""
 
 
 class Terminated(BaseException):

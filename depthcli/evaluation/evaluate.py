@@ -275,7 +275,7 @@ class _Scoring:
             if place.is_dir() and not self.reports[run]:
                 self.naming[run] = recognized(run, place, given, files, fits)
                 if self.naming[run] != given:
-                    self.hints.append(f"{run}: taken as its maps: {self.naming[run].pattern} (--maps sets others)")
+                    self.hints.append(f"{run}: taken as its maps: {self.naming[run].pattern} (--pattern sets others)")
 
     def _reader(self, protocol: AnyProtocol, options: MapNaming) -> AnyProtocol:
         """Return the protocol with the settings of one run, by which its maps are read."""

@@ -211,7 +211,7 @@ def recognized(
     ------
     InputError
         Several patterns are as frequent, and not exactly one of them matches files that can be read; the message
-        names the files and gives a ``--maps``.
+        names the files and gives a ``--pattern``.
     """
     try:
         if options.pattern or any(files.find(folder, names) for files, names in scenes.values()):
@@ -247,7 +247,7 @@ def recognized(
         return replace(options, pattern=fitting[0])
     why = f"{len(fitting)} kinds of file can be the maps" if fitting else "no file there can be read as a map"
     files_there, best = ", ".join(paths[:_N_SHOWN]), (fitting or likely)[0]
-    raise InputError(f"{shown(folder)}: {why} ({files_there}, ...); choose one: --maps '{run}={best}'")
+    raise InputError(f"{shown(folder)}: {why} ({files_there}, ...); choose one: --pattern '{run}={best}'")
 
 
 def _map_paths(folder: Path, suffixes: Sequence[str]) -> Iterator[str]:

@@ -27,7 +27,7 @@ from depthcli.io.scenes import DisparityScene, Scene, StereoScene, check_same_si
 from depthcli.io.scenes.find import matches_any, scenes_with_files
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.scenes.places import local
-from depthcli.problems.problem import SceneJob, Shown
+from depthcli.problems.problem import DEPTH_FILES, SceneJob, Shown
 from depthcli.problems.results import PointCloud, check_limits, chosen_pixels, depth_of, empty_cloud, parse_mask
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, share
@@ -44,6 +44,7 @@ class ToDepth(SceneJob[DisparityScene]):
     """Turns disparity maps into depth and point clouds; ConfigError where the options do not fit together."""
 
     command = "depth"
+    writes = DEPTH_FILES
     shown = Shown(
         (
             SIZE,

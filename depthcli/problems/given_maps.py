@@ -45,7 +45,7 @@ from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
 from depthcli.methods.stereo.search_range import SearchRange, matched_range
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.problems.inputs import as_image, as_map, as_pair
-from depthcli.problems.problem import Problem, ResultT, Shown
+from depthcli.problems.problem import MAP_FILES, Problem, ResultT, Shown
 from depthcli.problems.results import Disparity, made, write_details, write_disparity
 from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row, median, share
@@ -211,6 +211,7 @@ class Confidence(GivenMaps[MapConfidence]):
     """How sure the first map of a scene is."""
 
     command = "confidence"
+    writes = (*MAP_FILES, "probability.png")
     shown = Shown(
         (SIZE, *map(percent, ("density", "expected_right", "hidden")), number("median_bound", "{:.3g} px")),
         palette=STATUS_PALETTE,
@@ -283,6 +284,7 @@ class FuseMaps(GivenMaps[Disparity]):
 
     command = "fuse-maps"
     n_added = N_ADDED
+    writes = MAP_FILES
     shown = Shown(
         (
             SIZE,

@@ -33,7 +33,7 @@ from depthcli.methods.kinect.bounds import BYTES_PER_PIXEL
 from depthcli.methods.kinect.pipeline import Pipeline, SequencePipeline, frame_by_frame
 from depthcli.problems.frames import DepthConfig, RefinedDepth, refined, say_typical_cameras, with_cloud
 from depthcli.problems.inputs import Overrides, as_color8, as_depth, load_config
-from depthcli.problems.problem import Problem, Shown
+from depthcli.problems.problem import DEPTH_FILES, Problem, Shown
 from depthcli.problems.results import check_limits, empty_cloud, parse_mask
 from depthcli.run.console import Reporter
 from depthcli.run.job import Outcome
@@ -79,6 +79,7 @@ class RefineKinect(Problem[FrameOrSequence, FrameInputs, RefinedDepth]):
     command = "refine-kinect"
     model = RefineKinectConfig
     rows = FRAMES
+    writes = (*DEPTH_FILES, "probability.pfm", "confidence_*")
     shown = Shown(
         (SIZE, *map(percent, ("known", "kept", "filled", "corrected")), number("median_bound", "{:.3g} m")),
         palette=DEPTH_STATUS_PALETTE,

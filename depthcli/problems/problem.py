@@ -5,17 +5,26 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from depthcli.core.context import Context
-from depthcli.core.method import RootConfig
+from depthcli.core.errors import ConfigError
+from depthcli.core.method import RootConfig, parts_of, used_plugins
 from depthcli.io.scenes import Layouts, Scene
 from depthcli.run.console import Reporter
 from depthcli.run.job import Job, Outcome, SceneT
 from depthcli.run.json_csv import Row
 from depthcli.show.table import Column
 from depthcli.show.view import Palette
+
+MAP_FILES = (
+    "disp_left.pfm", "disp_left.png", "status.png", "preview.png", "bound.pfm", "probability.pfm", "confidence_*",
+)  # fmt: skip
+"""The files of a disparity map."""
+DEPTH_FILES = ("depth.pfm", "depth.png", "status.png", "preview.png", "bound.pfm", "points.ply")
+"""The files of a depth map."""
 
 
 class Shown(NamedTuple):
@@ -32,6 +41,8 @@ class SceneJob(Job[SceneT]):
     """The work of a command on its scenes, and what the command tells of it."""
 
     shown: ClassVar[Shown] = Shown()
+    writes: ClassVar[tuple[str, ...]] = ()
+    """Names, or patterns of these, of all files that a scene may have; none: not known."""
 
     def truth_scenes(self, scenes: Sequence[SceneT]) -> Sequence[Scene]:
         """Return the scenes whose ground truth ``--evaluate`` compares the results with."""
@@ -48,6 +59,17 @@ class SceneJob(Job[SceneT]):
     def problems(self, rows: Sequence[Row]) -> list[str]:
         """Return what could not be done of scenes that are done, a line each; the exit code is 3 then."""
         return []
+
+
+def check_keep(job: SceneJob[Any], keep: Sequence[str]) -> None:
+    """Raise ConfigError for a pattern of ``--keep`` that no file of the job can match, before anything is computed."""
+    has_details = isinstance(job.config, RootConfig) and any(getattr(p, "details", 0) for p in parts_of(job.config))
+    if not job.writes or has_details or used_plugins(job.config):
+        return
+    for pattern in keep:
+        if not any(fnmatchcase(name, pattern) or fnmatchcase(pattern, name) for name in (*job.writes, "record.json")):
+            names = ", ".join(job.writes)
+            raise ConfigError(f"--keep {pattern}: no file of {job.command} has that name; it writes {names}")
 
 
 class Inputs(Protocol):

@@ -49,6 +49,7 @@ class Rectify(SceneJob[StereoScene]):
     """Rectifies pairs; ``calibration`` None: by their key points alone."""
 
     command = "rectify"
+    writes = ("left.png", "right.png", "calib.txt", "meta.json")
     shown = Shown(
         (
             SIZE,

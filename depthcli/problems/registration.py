@@ -288,6 +288,16 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
     command = "register-confidence"
     model = RegisterConfidenceConfig
     rows = VOLUMES
+    writes = (
+        "confidence.*",
+        "expected_error.*",
+        "bound.*",
+        "probability.*",
+        "shift.*",
+        "status.*",
+        "preview.png",
+        "points.csv",
+    )
     shown = Shown(_COLUMNS, (_COLUMNS[0], *_COLUMNS[3:]), protocol="registration")
 
     config: RegisterConfidenceConfig

@@ -39,7 +39,7 @@ from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.problems.given_maps import networks
 from depthcli.problems.inputs import Overrides, as_image, load_config, paired
-from depthcli.problems.problem import Problem, Shown
+from depthcli.problems.problem import MAP_FILES, Problem, Shown
 from depthcli.problems.rectified import (
     METRIC_COLUMNS,
     Calibration,
@@ -164,6 +164,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
 
     model: ClassVar[type[PairConfig]]
     rows = PAIRS
+    writes = (*MAP_FILES, "left.png", "calib.txt")
     shown = Shown(
         (SIZE, *map(percent, ("density", "measured")), number("median_bound", "{:.3g} px"), *METRIC_COLUMNS),
         palette=STATUS_PALETTE,

@@ -35,7 +35,7 @@ from depthcli.methods.transparent.cross_modal import CrossModal
 from depthcli.methods.transparent.pipeline import Pipeline
 from depthcli.problems.frames import DepthConfig, RefinedDepth, refined, say_typical_cameras, with_cloud
 from depthcli.problems.inputs import Overrides, as_color8, as_depth, as_image, as_map, load_config
-from depthcli.problems.problem import Problem, Shown
+from depthcli.problems.problem import DEPTH_FILES, Problem, Shown
 from depthcli.problems.results import check_limits, empty_cloud, parse_mask
 from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row, median, share
@@ -79,6 +79,7 @@ class Transparent(Problem[RgbdScene, GlassInputs, RefinedDepth]):
     command = "transparent"
     model = TransparentConfig
     rows = FRAMES
+    writes = (*DEPTH_FILES, "probability.pfm", "confidence_*", "unreliable.png", "stereo.png")
     shown = Shown(
         (
             SIZE,
@@ -102,18 +103,19 @@ class Transparent(Problem[RgbdScene, GlassInputs, RefinedDepth]):
     def files(self, scene: RgbdScene) -> dict[str, Path]:
         """Return the files of the frame, and of its sparse depth unless that comes from stereo."""
         sparse = {"sparse": scene.sparse, "sparse_confidence": scene.sparse_confidence}
-        if self._by_mask:
+        if self.by_mask:
             sparse = {"objects": scene.masks.get(TRANSPARENT)}
         given = {role: file for role, file in sparse.items() if file is not None and self.config.stereo is None}
         return scene.input_files | given
 
     @property
-    def _by_mask(self) -> bool:
+    def by_mask(self) -> bool:
+        """True where the mask of the objects is an input."""
         return self.config.stereo is None and self.config.pipeline.needs == "objects"
 
     def truth_scenes(self, scenes: Sequence[RgbdScene]) -> Sequence[RgbdScene]:
         """Return the frames, without the source of a sparse depth that is not read."""
-        read = self.config.stereo is None and not self._by_mask
+        read = self.config.stereo is None and not self.by_mask
         scenes = [scene.with_scale(self.config.depth_scale) for scene in scenes]
         return scenes if read else [replace(scene, sparse_source="") for scene in scenes]
 
@@ -154,7 +156,7 @@ class Transparent(Problem[RgbdScene, GlassInputs, RefinedDepth]):
         intrinsics = config.intrinsics or scene.intrinsics
         scene = replace(scene, intrinsics=intrinsics).with_scale(config.depth_scale)
         frame: SparseFrame | RgbIrFrame
-        if self._by_mask:
+        if self.by_mask:
             frame = load_masked_frame(scene)
         elif stereo is None:
             frame = load_sparse_frame(scene)

@@ -124,12 +124,7 @@ class FolderLock:
         """
         output, known = self.output, saved_config(self.output)
         if (self.alone or not self.locks) and known != text:
-            if (reason := refusal(output, text)) and not overwrite:
-                raise ConfigError(f"{output}: {reason}; choose another --output, or --overwrite it")
-            if not known.startswith(TITLE) and not holds_results(output):
-                foreign = [name for name in (RUN_FILE, *REPORT_FILES, LEGEND_FILE) if os.path.lexists(output / name)]
-                if foreign:
-                    raise ConfigError(f"{output}: {not_ours(foreign)}")
+            check_folder(output, text, overwrite)
             for record in records_below(output, digest(known.encode())):  # of the run that is replaced
                 remove_results(output / record.scene)
             write_text(output / RUN_FILE, text)
@@ -232,6 +227,20 @@ def staging_folder(folder: Path, command: str, patterns: Sequence[str], warn: Ca
 def saved_config(folder: Path) -> str:
     """Return the text of a run folder's ``run.yaml``; empty where it is missing or cannot be read."""
     return read_text(folder / RUN_FILE)
+
+
+def check_folder(output: Path, text: str, overwrite: bool) -> None:
+    """Raise OutputError or ConfigError if a folder cannot become that of the run whose ``run.yaml`` has this text."""
+    if os.path.lexists(output) and not os.path.isdir(output):
+        raise OutputError(f"{output}: cannot be used as a run folder (Not a directory)")
+    if saved_config(output) == text:
+        return
+    if (reason := refusal(output, text)) and not overwrite:
+        raise ConfigError(f"{output}: {reason}; choose another --output, or --overwrite it")
+    if not saved_config(output).startswith(TITLE) and not holds_results(output):
+        foreign = [name for name in (RUN_FILE, *REPORT_FILES, LEGEND_FILE) if os.path.lexists(output / name)]
+        if foreign:
+            raise ConfigError(f"{output}: {not_ours(foreign)}")
 
 
 def refusal(folder: Path, text: str) -> str:

@@ -59,7 +59,11 @@ def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[int, int
     """Return the shard that ``3/8`` or a job array of Slurm describes, or None; ConfigError for no such part."""
     if text is None and "SLURM_ARRAY_TASK_COUNT" in environment:
         names = ("ID", "MIN", "STEP", "COUNT")
-        task, first, step, parts = (int(environment.get(f"SLURM_ARRAY_TASK_{name}", "1")) for name in names)
+        values = {name: environment.get(f"SLURM_ARRAY_TASK_{name}", "1") for name in names}
+        if wrong := [name for name, value in values.items() if not re.fullmatch(r"\s*\d{1,9}\s*", value)]:
+            text = f"SLURM_ARRAY_TASK_{wrong[0]}: expected a whole number (got {values[wrong[0]][:40]!r})"
+            raise ConfigError(f"{text}; unset SLURM_ARRAY_TASK_COUNT, or give --shard")
+        task, first, step, parts = map(int, values.values())
         text = f"{(task - first) // max(step, 1) + 1}/{parts}"
     if text is None:
         return None

@@ -69,7 +69,8 @@ def list_presets(command: str | None = None) -> list[tuple[str, str, str]]:
 
 
 def find_preset(command: str, name: str) -> Path | None:
-    """Return the file of a preset, None if there is none of that name."""
+    """Return the file of a preset, None if there is none of that name, which may be ``COMMAND/NAME``."""
+    name = name.removeprefix(f"{command}/")
     for preset in presets():
         if preset.command == command and preset.is_called(name):
             return preset.file

@@ -37,7 +37,7 @@ from depthcli import __version__
 from depthcli.core import memory
 from depthcli.core.config_file import dump_config
 from depthcli.core.context import Context, Latest
-from depthcli.core.errors import DepthcliError, InputError, OutputError, Terminated
+from depthcli.core.errors import DepthcliError, InputError, OutputError, Terminated, shortage
 from depthcli.core.memory import BASE_BYTES
 from depthcli.core.plugins import Plugin, load_plugin, loaded, plugin_behind, versions_here
 from depthcli.core.text import show_bytes, without_secrets
@@ -64,6 +64,7 @@ _MAX_TRACE_NAME = 200  # bytes of a scene's name in the name of its traceback; a
 _KEPT_SHARE = 16  # of the memory that a process may use, for arrays of its next scene: fresh pages take long
 _START_SECONDS = 1.5  # until processes work that load all modules: two take 1.2 s on two cores
 _MIN_SCENES = 8  # that a process for each core computes sooner than threads do, if they start as copies of this one
+_MAX_NAMED = 20  # files in a message
 _PROCESS_BYTES = 2 * BASE_BYTES  # of a process beside its scene: its own, and arrays that it keeps for the next one
 _MAX_TRIES = 3  # of a scene whose worker dies: another program may have used up the memory
 
@@ -230,11 +231,21 @@ def _has_changed(file: Path, content: str, state: object) -> bool:
 
 
 def _keep_only(patterns: Sequence[str], folder: Path) -> None:
-    """Delete the files whose name or path matches none of the patterns; without patterns all stay."""
-    for path in [path for path in folder.rglob("*") if path.is_file()] if patterns else []:
+    """Delete the files whose name or path matches none of the patterns; without patterns all stay.
+
+    InputError if none would stay.
+    """
+    paths = [path for path in folder.rglob("*") if path.is_file()] if patterns else []
+    others = []
+    for path in paths:
         names = path.relative_to(folder).as_posix(), path.name
         if not any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns for name in names):
-            path.unlink()
+            others.append(path)
+    if paths and len(others) == len(paths):
+        there = ", ".join(sorted({path.name for path in paths})[:_MAX_NAMED])
+        raise InputError(f"--keep {','.join(patterns)} matches no file of the scene; there are {there}")
+    for path in others:
+        path.unlink()
 
 
 def _failed_row(task: Task, error: BaseException) -> Row:
@@ -251,6 +262,8 @@ def _failed_row(task: Task, error: BaseException) -> Row:
         return task.failed("out of memory; see --max-memory")
     if isinstance(error, DepthcliError):
         return task.failed(str(error))
+    if text := shortage(error):
+        return task.failed(text)
     if isinstance(error, OSError):
         return task.failed(f"{error.filename or task.target}: {error.strerror or error}")
     what = f"{type(error).__name__}: {error}".splitlines()[0][:300]

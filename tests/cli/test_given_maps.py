@@ -31,7 +31,7 @@ def maps(two_scenes: Path, tmp_path: Path) -> Path:
 
 def test_confidence_writes_what_it_says(two_scenes: Path, maps: Path, tmp_path: Path, capsys):
     out = tmp_path / "sure"
-    words = ("confidence", "-i", two_scenes, "--maps", maps, "-o", out, "--keep", "0.8", "--measure", "rank")
+    words = ("confidence", "-i", two_scenes, "--maps", maps, "-o", out, "--share", "0.8", "--measure", "rank")
     assert run(*words, "--measure", "census") == 0
     printed = capsys.readouterr()
     assert "% of the pixels are -1: taken as no value (--invalid nan keeps them)" in printed.err
@@ -202,7 +202,8 @@ def test_a_folder_that_cannot_be_used_fails_alone(two_scenes: Path, maps: Path, 
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (("--keep", "0.8", "--threshold", "0.5"), "--keep SHARE and --threshold exclude each other"),
+        (("--share", "0.8", "--threshold", "0.5"), "--share and --threshold exclude each other"),
+        (("--keep", "0.8"), "the share of the surest pixels is --share 0.8"),
         (("--measure", "sharpness"), "--measure: no measure called 'sharpness'; one of: all, left_right"),
         (("--pattern", "other={scene}.pfm"), "--pattern other={scene}.pfm: no run is called 'other'; one of: sgm"),
     ],

@@ -118,8 +118,11 @@ def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(two_scenes: Path,
     assert all(180 << 20 < row["memory"] < 300 << 20 for row in document["scenes"])  # of the whole process
     assert main([*command[:-1], str(tmp_path / "small"), "--max-memory", "100MiB"]) == 3
     assert "100 MiB may be used" in capsys.readouterr().err
-    assert main([*command, "--set", "optimization.p2=3", "--dry-run"]) == 0
-    assert "another config; needs --overwrite" in capsys.readouterr().err
+    assert main([*command, "--set", "optimization.p2=3", "--dry-run"]) == 2
+    err = capsys.readouterr().err
+    assert "another config; needs --overwrite" in err and "has a run of another config (it has" in err
+    assert main([*command, "--set", "optimization.p2=3", "--dry-run", "--overwrite"]) == 0
+    capsys.readouterr()
     assert main([*command, "--list-scenes", "--shard", "2/2"]) == 0
     assert len(capsys.readouterr().out.split()) == 1
 

@@ -473,13 +473,13 @@ def test_maps_under_any_name(tmp_path: Path, truth: Path, capsys, place: str, op
         found = [s["value"] for r in document["results"] for s in r["scores"] if s["metric"] == "avgerr"]
         return found, document["warnings"]
 
-    given, warnings = scores("--maps", f"other={place}")
-    assert scores("--maps", f"other={Path(place).with_suffix('.*')}") == (given, warnings)
+    given, warnings = scores("--pattern", f"other={place}")
+    assert scores("--pattern", f"other={Path(place).with_suffix('.*')}") == (given, warnings)
     assert max(given) < 0.01
     assert warnings == []
     taken, (hint,) = scores()
     assert taken == given
-    assert hint == f"other: taken as its maps: {place} (--maps sets others)"
+    assert hint == f"other: taken as its maps: {place} (--pattern sets others)"
 
 
 def test_each_run_has_its_own_scale_and_invalid_value(tmp_path: Path, truth: Path):
@@ -490,7 +490,7 @@ def test_each_run_has_its_own_scale_and_invalid_value(tmp_path: Path, truth: Pat
         write_pfm(codes / f"{name}_raw.pfm", values)
     out = tmp_path / "out"
     line = ["evaluate", f"p={plain}", f"c={codes}", "--truth", str(truth), "-o", str(out), "--protocol", "eth3d"]
-    assert main([*line, "--maps", "c={scene}_raw.pfm", "--scale", "c=16", "--invalid", "c=7"]) == 0
+    assert main([*line, "--pattern", "c={scene}_raw.pfm", "--scale", "c=16", "--invalid", "c=7"]) == 0
     found = {(r["run"], r["metric"]): float(r["value"]) for r in rows(out) if r["scene"] == "a" and r["mask"] == "all"}
     assert (found["p", "avgerr"], found["c", "avgerr"]) == (0, 0)
     assert (found["p", "coverage"], found["c", "coverage"]) == (100, 75)
@@ -508,15 +508,15 @@ def test_a_folder_with_several_kinds_of_maps_is_refused(tmp_path: Path, truth: P
     assert main(["evaluate", str(folder), "--truth", str(truth)]) == 2
     message = capsys.readouterr().err
     assert "2 kinds of file can be the maps (a/confidence.pfm, a/first.tiff" in message
-    assert "--maps 'x={scene}/first.tiff'" in message
-    assert main(["evaluate", str(folder), "--truth", str(truth), "-q", "--maps", "x={scene}/second.tiff"]) == 0
+    assert "--pattern 'x={scene}/first.tiff'" in message
+    assert main(["evaluate", str(folder), "--truth", str(truth), "-q", "--pattern", "x={scene}/second.tiff"]) == 0
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--maps", "y={scene}.png"], "no run is called 'y'; one of: x"),
-        (["--maps", "../{scene}.png"], "the path of a scene's map in the run folder"),
+        (["--pattern", "y={scene}.png"], "no run is called 'y'; one of: x"),
+        (["--pattern", "../{scene}.png"], "the path of a scene's map in the run folder"),
         (["--scale", "0"], "--scale: expected a number from 1e-6 on"),
         (["--invalid", "1", "--invalid", "2"], "--invalid: two values for all runs"),
     ],

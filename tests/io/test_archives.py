@@ -5,6 +5,9 @@ import gzip
 import io
 import os
 import shutil
+import socket
+import subprocess
+import sys
 import tarfile
 import threading
 import zipfile
@@ -149,6 +152,31 @@ def _bomb() -> bytes:
         member.size = 1 << 21
         tar.addfile(member, io.BytesIO(bytes(member.size)))
     return gzip.compress(made.getvalue())
+
+
+def test_warnings_of_an_archive_are_said_once_by_every_run(scenes: Path, tmp_path: Path, caplog) -> None:
+    archive = _zip(scenes, tmp_path / "a.zip")
+    with zipfile.ZipFile(archive, "a") as file:
+        file.writestr("../out.png", b"x")
+    for _ in range(2):
+        assert main(["stereo", "opencv-bm", "-i", str(archive), "-o", str(tmp_path / "o")]) == 0
+        assert caplog.text.count("1 members not used, links or names that lead out") == 1
+        caplog.clear()
+
+
+def test_the_cache_has_a_limit_and_no_leftovers(scenes: Path, tmp_path: Path, cache: Path, monkeypatch) -> None:
+    first = local(_zip(scenes, tmp_path / "a.zip"))
+    ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
+    dead = cache / f".{socket.gethostname()[:60]}.{int(ended.stdout)}.x"
+    living = cache / f".{socket.gethostname()[:60]}.{os.getpid()}.x"
+    for folder in (dead, living):
+        folder.mkdir()
+    second = local(_zip(scenes, tmp_path / "b.zip"))
+    assert first.is_dir() and second.is_dir() and not dead.exists() and living.exists()
+    monkeypatch.setattr(places, "_MAX_CACHE_BYTES", 1)
+    os.utime(first.parent, (0, 0)) if first.parent.parent == cache else os.utime(first, (0, 0))
+    local(_zip(scenes, tmp_path / "c.zip"))
+    assert not first.exists() and second.exists()  # which was used today
 
 
 def test_unusable_archives_are_one_line(scenes: Path, tmp_path: Path, cache: Path, monkeypatch, capsys) -> None:

@@ -155,6 +155,10 @@ def _dicom(folder: Path) -> Any:
     steps = np.linalg.norm(np.diff(np.array(places, np.float64).reshape(-1, 3), axis=0), axis=1)
     if steps.size and not steps.max():
         raise InputError(f"all its {len(files)} DICOM slices are at one place: a series over time? expected a volume")
+    if steps.size and steps.min() <= _MAX_UNEVENNESS * np.median(steps):
+        k = int(np.argmin(steps))
+        one, other = (Path(files[n]).name for n in (k, k + 1))
+        raise InputError(f"its DICOM slices {one} and {other} are at one place: is one a duplicate? take it out")
     if steps.size and np.ptp(steps) > _MAX_UNEVENNESS * steps.max():
         raise InputError(f"its DICOM slices are {steps.min():.4g} to {steps.max():.4g} mm apart: is one missing?")
     return image

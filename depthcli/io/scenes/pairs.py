@@ -461,7 +461,9 @@ def scenes_of_table(path: Path) -> list[StereoScene]:
     with naming("standard input" if path == STDIN else path):
         data = sys.stdin.buffer.read() if path == STDIN else read_bytes(path, _MAX_BYTES)
         text = text_of(data, "surrogateescape")
-        rows = table_rows([line for line in text.splitlines() if line.strip() and not line.startswith("#")])
+        rows = table_rows(
+            [line for line in text.splitlines(keepends=True) if line.strip() and not line.startswith("#")]
+        )
         columns: tuple[str, ...] = _COLUMNS[:3]
         if rows and {"left", "right"} <= {word.strip().lower() for word in rows[0]}:
             columns = tuple(word.strip().lower() for word in rows.pop(0))

@@ -11,6 +11,7 @@ import hashlib
 import os
 import re
 import shutil
+import socket
 import stat
 import tarfile
 import tempfile
@@ -24,7 +25,7 @@ from urllib.parse import unquote
 
 from depthcli.core.errors import InputError
 from depthcli.core.text import without_secrets
-from depthcli.io.formats.files import naming, warn
+from depthcli.io.formats.files import collected_warnings, naming, warn
 
 # A URL may have a query behind its ending, such as the signature of a store.
 _ARCHIVE = re.compile(
@@ -36,8 +37,10 @@ _MAX_MEMBERS = 1 << 20
 _MAX_HEADER = 1 << 20  # bytes of one of these
 _MAX_RATE, _ALWAYS_BYTES = 200, 1 << 30  # no archive of images unpacks to so much, but small ones of masks do
 _CONNECT_SECONDS, _READ_SECONDS = 15, 60  # of a server that does not answer
-_LEFTOVER_SECONDS = 86400  # age of what killed processes left
-_ORIGIN = ".origin"  # file beside a folder of the cache that tells where it comes from
+_LEFTOVER_SECONDS = 86400  # age of what killed processes of other machines left
+_MAX_CACHE_BYTES, _MIN_AGE = 50 << 30, 7 * 86400  # of all inputs together; seconds since the use of one that is deleted
+# Files beside a folder of the cache: where it comes from, and what was warned of when it was made.
+_ORIGIN, _WARNINGS = ".origin", ".warnings"
 # Members of a tar file that are read into memory whole: long names and the like of the member behind.
 _HEADERS = (b"L", b"K", b"x", b"g", b"X")
 
@@ -95,23 +98,65 @@ def _root() -> Path:
 
 
 def _cached(key: object, name: str, source: str, make: Callable[[Path], None]) -> Path:
-    """Return the folder or file ``name`` that ``make`` makes where no earlier call with this key did."""
+    """Return the folder or file ``name`` that ``make`` makes where no earlier call with this key did.
+
+    What was warned of when it was made is warned of by every call.
+    """
     folder = _root() / hashlib.sha256(repr(key).encode("utf-8", "surrogateescape")).hexdigest()[:20]
-    if folder.is_dir():
-        return folder / name
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    for old in folder.parent.glob(".*"):
-        if old.stat().st_mtime < time.time() - _LEFTOVER_SECONDS:
-            shutil.rmtree(old, ignore_errors=True)
-    with tempfile.TemporaryDirectory(prefix=".", dir=folder.parent, ignore_cleanup_errors=True) as made:
-        make(Path(made, name))
-        Path(made, name + _ORIGIN).write_text(source, "utf-8", "surrogateescape")
-        try:
-            os.rename(made, folder)
-        except OSError:
-            if not folder.is_dir():  # else another process was faster
-                raise
+    if not folder.is_dir():
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        _clean(folder.parent)
+        start = f".{socket.gethostname()[:60]}.{os.getpid()}."
+        with tempfile.TemporaryDirectory(prefix=start, dir=folder.parent, ignore_cleanup_errors=True) as made:
+            with collected_warnings() as lines:
+                make(Path(made, name))
+            Path(made, name + _ORIGIN).write_text(source, "utf-8", "surrogateescape")
+            if lines:
+                Path(made, name + _WARNINGS).write_text("\n".join(lines), "utf-8", "surrogateescape")
+            try:
+                os.rename(made, folder)
+            except OSError:
+                if not folder.is_dir():  # else another process was faster
+                    raise
+    with contextlib.suppress(OSError):
+        os.utime(folder)  # it is in use
+    with contextlib.suppress(OSError):
+        for line in Path(folder, name + _WARNINGS).read_text("utf-8", "surrogateescape").splitlines():
+            warn(line)
     return folder / name
+
+
+def _clean(root: Path) -> None:
+    """Delete what killed processes left in the cache, and inputs not used for long that are too much for its limit."""
+    here, now = f".{socket.gethostname()[:60]}.", time.time()
+    for old in root.glob(".*"):
+        with contextlib.suppress(OSError):
+            pid = old.name.removeprefix(here).partition(".")[0] if old.name.startswith(here) else ""
+            if old.stat().st_mtime < now - _LEFTOVER_SECONDS or (pid.isdecimal() and not _is_running(int(pid))):
+                shutil.rmtree(old, ignore_errors=True)
+    sizes: list[tuple[float, int, Path]] = []
+    for folder in root.glob("[!.]*"):
+        with contextlib.suppress(OSError):
+            size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+            sizes.append((folder.stat().st_mtime, size, folder))
+    total = sum(size for _, size, _ in sizes)
+    for used, size, folder in sorted(sizes):
+        if total <= _MAX_CACHE_BYTES or used > now - _MIN_AGE:
+            break
+        shutil.rmtree(folder, ignore_errors=True)
+        total -= size
+
+
+def _is_running(pid: int) -> bool:
+    """Return whether a process of this machine runs; True where that cannot be known."""
+    try:
+        if os.name != "nt":  # where the signal 0 would end it
+            os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 @contextlib.contextmanager
@@ -218,6 +263,9 @@ def _fetched(url: str) -> Path:
         name = _stem(unquote(url.partition("?")[0].rstrip("/").rpartition("/")[2]))
 
         def fetch(target: Path) -> None:
+            free, size = shutil.disk_usage(target.parent).free, facts.get("size")
+            if isinstance(size, int) and size > min(free, _MAX_CACHE_BYTES):
+                raise InputError(f"has {size} bytes, but {min(free, _MAX_CACHE_BYTES)} are free for it in {_root()}")
             if is_folder:
                 for inside in files.values():
                     (target / inside).parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,145 @@
+"""Options and surroundings that a command refuses before it computes anything."""
+
+import errno
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.core.errors import InputError, shortage
+from depthcli.io.formats.images import write_png
+from depthcli.io.scenes.pairs import scenes_of_table
+from tests.command_line import rows, run
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    noise = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 255, (40, 80), np.uint8), (0, 0), 1.5)
+    write_png(tmp_path / "in/a/left.png", noise[:, :70])
+    write_png(tmp_path / "in/a/right.png", noise[:, 6:76])
+    return tmp_path / "in"
+
+
+def stereo(scene: Path, *words: str | Path) -> int:
+    return run("stereo", "opencv-bm", "-i", scene, "--max-disparity", "16", "-q", *words)
+
+
+@pytest.mark.parametrize(
+    ("command", "keep", "wrong"),
+    [
+        (("stereo", "opencv-bm"), "depth.pfm", "depth.pfm"),
+        (("stereo", "opencv-bm"), "disp_left.pfm,prevew.png", "prevew.png"),
+        (("stereo", "opencv-bm"), "disp_*.pfm,confidence_peak_ratio.pfm", ""),
+        (("fuse", "consensus"), "*.tif", "*.tif"),
+        (("rectify", "--uncalibrated"), "disp_left.pfm", "disp_left.pfm"),
+        (("rectify", "--uncalibrated"), "*.png", ""),
+        (("refine-kinect", "nearest"), "disp_left.pfm", "disp_left.pfm"),
+        (("transparent", "sensor"), "unreliable.pfm", "unreliable.pfm"),
+        (("register-confidence", "planes"), "confidence.nii.gz,eror.nii.gz", "eror.nii.gz"),
+    ],
+)
+def test_keep_names_files_of_the_command(command: tuple[str, ...], keep: str, wrong: str, tmp_path: Path, capsys):
+    folder = tmp_path / "in/a"
+    for name in ("left", "right", "color", "depth", "fixed", "moving_warped", "mask_transparent"):
+        write_png(folder / f"{name}.png", np.full((20, 30), 900, np.uint16))
+    assert run(*command, "-i", tmp_path / "in", "--keep", keep, "-o", tmp_path / "o", "--dry-run") == (
+        2 if wrong else 0
+    )
+    assert not wrong or f"--keep {wrong}: no file of {command[0]} has that name" in capsys.readouterr().err
+
+
+def test_a_scene_of_which_no_file_is_kept_fails(scene: Path, tmp_path: Path):
+    assert stereo(scene, "--keep", "confidence_mine.pfm", "-o", tmp_path / "o") == 3
+    assert "matches no file of the scene; there are disp_left.pfm" in rows(tmp_path / "o")["a"]["error"]
+
+
+def test_empty_words_are_refused(scene: Path, capsys: pytest.CaptureFixture[str]):
+    for words in (("-o", ""), ("--output=",), ("--output", "x", "--left", ""), ("--output", "x", "")):
+        assert stereo(scene, *words) == 2
+        assert "is empty" in capsys.readouterr().err
+
+
+def test_wrong_variables_are_one_line(scene: Path, tmp_path: Path, monkeypatch, capsys):
+    for name, value in (("SLURM_ARRAY_TASK_ID", "x"), ("SLURM_ARRAY_TASK_COUNT", ""), ("NUMBA_NUM_THREADS", "0")):
+        with monkeypatch.context() as patch:
+            patch.setenv("SLURM_ARRAY_TASK_COUNT", "3")
+            patch.setenv(name, value)
+            assert stereo(scene, "-o", tmp_path / "o") == 2
+        err = capsys.readouterr().err
+        assert f"{name}: expected a whole number" in err and len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError(), "address space"),
+        (ImportError("x.so: failed to map segment from shared object"), "address space"),
+        (RuntimeError("can't start new thread"), "address space"),
+        (OSError(errno.EMFILE, "Too many open files"), "open files"),
+        (ImportError("a.so: cannot open shared object file: Too many open files"), "open files"),
+        (ValueError("bad"), ""),
+    ],
+)
+def test_what_a_machine_lacks_is_no_bug(error: Exception, said: str, scene: Path, tmp_path: Path, monkeypatch, capsys):
+    """Raised itself, or as the cause of another; on the way to the scenes, and in one."""
+    assert said in shortage(error) and bool(said) == bool(shortage(error))
+    wrapped = InputError("x")
+    wrapped.__cause__ = error
+    assert shortage(wrapped) == shortage(error)
+
+    def fails(*arguments: object, **options: object) -> None:
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr("depthcli.commands._run.run_job", fails)
+        assert stereo(scene, "-o", tmp_path / "o") == (2 if said else 1)
+    assert said in capsys.readouterr().err
+    monkeypatch.setattr("depthcli.problems.stereo.load_pair", fails)
+    assert stereo(scene, "-o", tmp_path / "o") == (3 if said else 1)
+    assert ("bug" in rows(tmp_path / "o")["a"]["error"]) != bool(said)
+
+
+def test_dry_runs_refuse_what_the_run_refuses(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign/run.yaml").write_text("mine: 1\n")
+    for output in ("file", "foreign", "in"):
+        said = []
+        for more in ((), ("--dry-run",), ("--dry-run", "--json")):
+            assert stereo(scene, "-o", tmp_path / output, *more) == 2
+            said.append(capsys.readouterr().err.splitlines()[-1])
+        assert said[0].rpartition("(")[0] == said[1].rpartition("(")[0] and said[1] == said[2]
+
+
+def test_bases_have_the_names_that_presets_show_takes(scene: Path, tmp_path: Path):
+    (tmp_path / "c.yaml").write_text("base: stereo/opencv-bm\n")
+    assert run("stereo", tmp_path / "c.yaml", "-i", scene, "-o", tmp_path / "o", "--dry-run", "-q") == 0
+    assert run("stereo", "stereo/opencv-bm", "-i", scene, "-o", tmp_path / "o", "--dry-run", "-q") == 0
+    (tmp_path / "c.yaml").write_text("base: fuse/opencv-bm\n")
+    assert run("stereo", tmp_path / "c.yaml", "-i", scene, "-o", tmp_path / "o", "--dry-run", "-q") == 2
+
+
+def test_cells_of_tables_keep_their_line_breaks_and_tabs_separate_them(tmp_path: Path):
+    (tmp_path / "t.csv").write_text('left,right,name\na.png,b.png,"a\nb"\nc.png,d.png,ab\n')
+    assert [scene.name for scene in scenes_of_table(tmp_path / "t.csv")] == ["a\nb", "ab"]
+    (tmp_path / "t.csv").write_text("left\tright\tname\na.png\tb.png\tx, y\n")
+    assert [(scene.left.name, scene.name) for scene in scenes_of_table(tmp_path / "t.csv")] == [("a.png", "x, y")]
+
+
+def test_the_mask_of_glass_is_objects(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """As in a folder; refused where a config does not look at it."""
+    color = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+    depth, mask = np.full((48, 64), 1500, np.uint16), np.zeros((48, 64), np.uint8)
+    depth[16:32, 20:40], mask[14:34, 18:42] = 2500, 255
+    names = {"color": color, "depth": depth, "mask_transparent": mask}
+    for name, image in names.items():
+        write_png(tmp_path / "in/a" / f"{name}.png", image)
+    one, two, three = (tmp_path / "in/a" / f"{name}.png" for name in names)
+    files = ("--color", one, "--depth", two, "--objects", three, "--name", "a")
+    assert run("transparent", "sensor", *files, "-o", tmp_path / "o", "-q") == 0
+    assert run("transparent", "sensor", "-i", tmp_path / "in", "-o", tmp_path / "p", "-q") == 0
+    assert (tmp_path / "o/a/depth.pfm").read_bytes() == (tmp_path / "p/a/depth.pfm").read_bytes()
+    assert run("transparent", "sparse", *files, "-o", tmp_path / "q", "-q") == 2
+    assert "does not look at a mask" in capsys.readouterr().err
+    assert run("transparent", "sensor", "-i", tmp_path / "in", "--objects", three, "-o", tmp_path / "q", "-q") == 2
