@@ -159,7 +159,8 @@ class ToDepth(SceneJob[DisparityScene]):
         size = None if shape is None else (shape[1], shape[0])
         rectified = beside if os.path.isfile(beside) and os.path.isfile(scene.folder / "left.png") else None
         given = {key: self.config[key] for key in ("unit", "fisheye", "cameras", "alpha") if key in self.config}
-        ours = {"unit": "mm"} if scene.calibration == rectified else {}  # known, whatever the baseline is
+        is_own = scene.calibration == rectified and os.path.isfile(scene.folder / "record.json")
+        ours = {"unit": "mm"} if is_own else {}  # known, whatever the baseline is
         return read_geometry(files, Reading(**({"cameras": scene.cameras} | ours | given)), size, rectified)
 
 

@@ -10,7 +10,7 @@ import pytest
 import depthcli
 from depthcli.core.errors import InputError
 from depthcli.core.maps import Status
-from depthcli.io.formats.calibrations import read_geometry, write_geometry
+from depthcli.io.formats.calibrations import Reading, read_geometry, write_geometry
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_pfm, write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
@@ -217,10 +217,10 @@ def test_a_scene_whose_map_is_gone_fails(matched, tmp_path: Path, capsys):
 
 def test_kitti_by_camera(tmp_path: Path):
     (tmp_path / "calib.txt").write_text(KITTI)
-    grey, color = read_geometry(tmp_path / "calib.txt", (0, 1)), read_geometry(tmp_path / "calib.txt")
+    grey, color = read_geometry(tmp_path / "calib.txt", Reading(cameras=(0, 1))), read_geometry(tmp_path / "calib.txt")
     assert (grey.fb, grey.offset) == (pytest.approx(371), 0)
     assert (color.fb, color.offset, color.left.cx) == (pytest.approx(383.4), 2, 610)
-    refused(InputError, "left and right exchanged", read_geometry, tmp_path / "calib.txt", (3, 2))
+    refused(InputError, "left and right exchanged", read_geometry, tmp_path / "calib.txt", Reading(cameras=(3, 2)))
     half = color.for_size(500, 100)
     assert half.size == (500, 100)  # KITTI's projections say no size: taken as they are
     write_geometry(tmp_path / "own.txt", half, 63)
