@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import depthcli
 from depthcli.cli import command_of
 from tests.command_line import statuses
 
@@ -70,3 +71,26 @@ def test_the_makefile_evaluates_although_a_scene_fails(made_scenes: Path, tmp_pa
     assert statuses(tmp_path / "runs/small")["planes_0"] == "done"
     (tmp_path / "experiments/small.yaml").write_text("base: opencv-bm\nno_such_key: 1\n")
     assert "no_such_key" in make(2)  # a wrong config stops make
+
+
+def test_one_version_everywhere():
+    version = re.escape(depthcli.__version__)
+    citation, changes = ((ROOT / name).read_text("utf-8") for name in ("CITATION.cff", "CHANGELOG.md"))
+    found = re.search(rf"^version: {version}\ndate-released: (\S+)$", citation, re.M)
+    assert found, "CITATION.cff"
+    assert re.search(r"^## (.*)$", changes, re.M)[1] in (f"{depthcli.__version__} - {found[1]}", "Unreleased")  # type: ignore[index]
+    assert re.search(rf"version = {{{version}}}", README)
+
+
+def test_the_manual_and_the_readme_are_short():
+    """Words by hand: without the reference, tables that scripts write, output of commands, and the template."""
+    pages = [page for page in (ROOT / "docs").rglob("*.md") if not {"reference", "plugin_template"} & set(page.parts)]
+    texts = [
+        page.read_text("utf-8")
+        for page in (*pages, *(ROOT / f"{n}.md" for n in ("README", "CONTRIBUTING", "SECURITY")))
+    ]
+    by_hand = [re.sub(r"<!-- begin .*?<!-- end -->", "", text, flags=re.S) for text in texts]
+    outputs = re.compile(r"^```console.*?^```$", re.M | re.S)
+    commands = [outputs.sub(lambda block: "\n".join(re.findall(r"^\$ .*", block[0], re.M)), text) for text in by_hand]
+    assert sum(len(text.split()) for text in commands) <= 22_000
+    assert len(README.splitlines()) <= 130
