@@ -28,7 +28,7 @@ from PIL import Image
 mpl.use("agg")
 import matplotlib.pyplot as plt
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize, to_rgb
 from matplotlib.patches import Patch
 
 import depthcli
@@ -104,7 +104,7 @@ def error_legend(figure: Any) -> None:
     """Add the colors of error pictures below a figure."""
     names = {"correct": "blue", "incorrect": "orange", "occluded, correct": "grey", "occluded, incorrect": "purple",
              "no value": "black", "no ground truth": "white"}  # fmt: skip
-    colors = {name: dark for name, _, dark in KIND_COLORS}
+    colors = {name: 0.75 * np.array(to_rgb(light)) + 0.25 * np.array(to_rgb(dark)) for name, light, dark in KIND_COLORS}
     patches = [
         Patch(facecolor=colors[color], edgecolor="black", linewidth=0.4, label=name) for name, color in names.items()
     ]

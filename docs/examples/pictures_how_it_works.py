@@ -8,11 +8,10 @@ import cv2
 import matplotlib.pyplot as plt
 import numpy as np
 import SimpleITK
+from matplotlib.colors import LogNorm, Normalize
 from pictures import command, error_legend, maps, panels, picture, read, sample, scene
 
 import depthcli
-from depthcli.show.draw import draw, draw_text
-from depthcli.show.view import View, bound_range
 
 PLANES, FOREGROUND = ("--kind", "planes"), ("--kind", "foreground")
 OTHER_LIGHT = (*PLANES, "--radiometric", "0.3")
@@ -181,16 +180,22 @@ def fusion_choice() -> Any:
 
 @picture
 def bound() -> Any:
-    """A map and its bound, as in preview.png, and the true error in the bound's colors."""
+    """A map, its bound, and the true error in the colors of the bound."""
     left, right, truth, _ = scene("--kind", "repetitive")
     found = depthcli.stereo(left, right, N_DISPARITIES, "accurate", bound=True)
-    sheet = draw(View(found.values, "px", (0, N_DISPARITIES), bound=found.bound), "preview")
-    error = np.full((len(sheet), truth.shape[1] + 8, 3), 255, np.uint8)
-    errors = np.abs(found.values - truth)
-    error[: len(truth), 8:] = draw(View(errors, bound=errors), "bound", bound_range(found.bound))
-    draw_text(sheet, "map", (0, len(truth) + 10), (0, 0, 0))
-    draw_text(error, "true error, same colors", (8, len(truth) + 10), (0, 0, 0))
-    return np.concatenate([sheet, error], axis=1)
+    low, high = np.nanpercentile(found.bound, (1, 99))
+    shown = [
+        ("map", found.values, Normalize(truth.min() - 3, truth.max()), "turbo", "disparity, px"),
+        ("error bound", found.bound, LogNorm(low, high), "viridis", "bound, px"),
+        ("true error", np.maximum(np.abs(found.values - truth), low), LogNorm(low, high), "viridis", "error, px"),
+    ]
+    figure, axes = plt.subplots(1, 3, figsize=(11, 2.6), layout="constrained")
+    for axis, (title, values, scale, colors, unit) in zip(axes, shown, strict=True):
+        drawn = axis.imshow(values, colors, norm=scale)
+        axis.set_title(title, fontsize=9)
+        axis.set_axis_off()
+        figure.colorbar(drawn, ax=axis, label=unit, shrink=0.9)
+    return figure
 
 
 @picture

@@ -20,16 +20,19 @@ depth, truth = (cv2.imread(f"{folder}/{name}.pfm", cv2.IMREAD_UNCHANGED) for nam
 refined = depthcli.refine_depth(color, depth, "accurate")
 status = np.select([refined.corrected, refined.filled, refined.kept], [3, 2, 1], 0)
 
+depth_colors = plt.get_cmap("turbo_r").with_extremes(bad="black")  # black: no value
 figure, axes = plt.subplots(2, 3, figsize=(11, 5.5), layout="constrained")
 near, far = np.nanpercentile(truth, (1, 99))
 axes[0, 0].imshow(color)
 for axis, values in zip((axes[0, 1], axes[0, 2], axes[1, 0]), (depth, refined.values, truth), strict=True):
-    axis.imshow(values, cmap="turbo_r", vmin=near, vmax=far)
+    axis.imshow(values, cmap=depth_colors, vmin=near, vmax=far)
 axes[1, 1].imshow(status, cmap=plt.matplotlib.colors.ListedColormap(["k", "lightgray", "C0", "C3"]), vmin=0, vmax=3)
 axes[1, 2].imshow(100 * np.abs(refined.values - truth), cmap="magma", vmin=0, vmax=10)
 titles = (
-    "color", "depth as measured", "refined", "truth", "gray: kept, blue: filled, red: corrected", "error, 0 to 10 cm",
+    "color", "depth as measured", "refined", "ground truth", "gray: kept, blue: filled, red: corrected", "error",
 )  # fmt: skip
 for axis, title in zip(axes.flat, titles, strict=True):
     axis.set(title=title, xticks=[], yticks=[])
+figure.colorbar(axes[0, 2].images[0], ax=axes[0, :], label="depth, m")
+figure.colorbar(axes[1, 2].images[0], ax=axes[1, :], label="error, cm")
 plt.show()
