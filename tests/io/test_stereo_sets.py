@@ -1,5 +1,7 @@
 """Data sets of stereo pairs with conventions of their own, on miniatures that follow the sets' documents."""
 
+import json
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 
 from depthcli.core.errors import InputError
 from depthcli.evaluation import protocols
-from depthcli.io.formats.calibrations import read_geometry
+from depthcli.io.formats.calibrations import Reading, read_geometry
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.scenes import StereoScene
@@ -155,7 +157,7 @@ def test_driving_stereo(tmp_path: Path):
     assert (scene.name, scene.layout, scene.max_disparity) == (f"train-left-image/{frame}", "driving-stereo", 255)
     np.testing.assert_array_equal(true(scene).disparity, unknown)
     assert scene.calibration == calib
-    geometry = read_geometry(calib, scene.cameras)
+    geometry = read_geometry(calib, Reading(cameras=scene.cameras))
     assert (geometry.left.fx, geometry.baseline) == (1003.5, pytest.approx(546.9 / 1003.5))
     check_layout("driving-stereo", tmp_path)
 
@@ -321,3 +323,61 @@ def test_many_view_scenes_of_eth3d_are_refused(tmp_path: Path, camera: str):
     refused, usable = discover_scenes(tmp_path, PAIRS)
     assert "many-view" in refused.problem
     assert usable.layout == "eth3d"
+
+
+# TartanAir, Falling Things, KITTI raw, Argoverse 1
+
+
+def test_tartanair(tmp_path: Path):
+    folder = tmp_path / "P001"
+    images(*(folder / f"image_{side}" / f"000007_{side}.png" for side in ("left", "right")))
+    (folder / "depth_left").mkdir()
+    np.save(folder / "depth_left/000007_left_depth.npy", np.where(DISPARITY > 0, 80 / DISPARITY, 0).astype(np.float32))
+    (folder / "pose_left.txt").write_text("0 0 0 0 0 0 1\n")
+    (scene,) = find(tmp_path)
+    assert (scene.layout, scene.name) == ("tartanair", "P001/000007")
+    np.testing.assert_allclose(true(scene).disparity, np.where(DISPARITY > 0, DISPARITY, np.nan), rtol=1e-5)
+    assert scene.geometry is not None and scene.geometry.fb == 80
+    check_layout("tartanair", tmp_path)
+
+
+def test_falling_things(tmp_path: Path):
+    folder = tmp_path / "kitchen_0"
+    images(folder / "000003.left.jpg", folder / "000003.right.jpg")
+    codes(folder / "000003.left.depth.png", 768 * 0.06 * 10_000 / (DISPARITY + 20), 1)
+    camera = {"fx": 768.0, "fy": 768.0, "cx": 480, "cy": 270, "s": 0}
+    settings = {"camera_settings": [{"name": "left", "intrinsic_settings": camera}]}
+    (folder / "_camera_settings.json").write_text(json.dumps(settings))
+    (scene,) = find(tmp_path)
+    assert (scene.layout, scene.name) == ("falling-things", "kitchen_0/000003")
+    np.testing.assert_allclose(true(scene).disparity, DISPARITY + 20, rtol=1e-3)
+    assert scene.geometry is not None and scene.geometry.fb == pytest.approx(768 * 0.06)
+    assert pickle.loads(pickle.dumps(scene)).name == scene.name
+    check_layout("falling-things", tmp_path)
+
+
+@pytest.mark.parametrize(("sides", "cameras"), [(("image_02", "image_03"), (2, 3)), (("image_00", "image_01"), (0, 1))])
+def test_kitti_raw(tmp_path: Path, sides: tuple[str, str], cameras: tuple[int, int]):
+    drive = tmp_path / "2011_09_26" / "2011_09_26_drive_0001_sync"
+    images(*(drive / side / "data" / f"000000000{k}.png" for side in sides for k in range(2)))
+    rows = "721.5 0 609.6 {} 0 721.5 172.9 0 0 0 1 0"
+    text = "".join(f"P_rect_0{n}: {rows.format(0 if n % 2 == 0 else -387.6)}\n" for n in range(4))
+    (tmp_path / "2011_09_26" / "calib_cam_to_cam.txt").write_text(text)
+    first, _ = find(tmp_path / "2011_09_26")
+    assert (first.layout, first.cameras) == ("kitti-raw", cameras)
+    assert first.calibration is not None
+    assert read_geometry(first.calibration, Reading(cameras=first.cameras)).fb == pytest.approx(387.6)
+    check_layout("kitti-raw", tmp_path / "2011_09_26")
+
+
+def test_argoverse_stereo(tmp_path: Path):
+    log = "train/273c1883-673a-36bf-b124-88311b1a80be"
+    for side in ("left", "right"):
+        name = f"stereo_front_{side}_rect"
+        images(tmp_path / "rectified_stereo_images_v1.1" / log / name / f"{name}_315975340198711248.jpg")
+    name = "stereo_front_left_rect_disparity"
+    codes(tmp_path / "disparity_maps_v1.1" / log / name / f"{name}_315975340198711248.png", DISPARITY, 256)
+    (scene,) = find(tmp_path)
+    assert scene.layout == "argoverse-stereo" and scene.name.endswith("315975340198711248")
+    np.testing.assert_array_equal(true(scene).disparity, np.where(DISPARITY > 0, DISPARITY, np.nan))
+    check_layout("argoverse-stereo", tmp_path)

@@ -9,19 +9,22 @@ import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.triangulation import PairGeometry, disparity_of_depth
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.text import without_secrets
 from depthcli.io.calibration_photos import SIDES, without_word
-from depthcli.io.formats.disparity import KITTI_SCALE, read_disparity
+from depthcli.io.formats.disparity import KITTI_SCALE, read_disparity, read_plane
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import read_image
-from depthcli.io.formats.plain_text import key_values, numbers, table_rows, text_of
+from depthcli.io.formats.plain_text import json_object, key_values, numbers, table_rows, text_of
 from depthcli.io.formats.videos import VIDEO_SUFFIXES, frames_and_rate
 from depthcli.io.scenes.kinds import MAX_DISPARITY, Scene, StereoScene
 from depthcli.io.scenes.rows import (
@@ -134,6 +137,23 @@ def _decode_booster(file: Path, scale: float | None) -> NDArray[np.float32]:
     return np.where(disparity > 0, disparity, np.float32(np.nan))
 
 
+def _decode_depth(file: Path, scale: float | None, fb: float) -> NDArray[np.float32]:
+    """Return the disparities of a map of depths, for focal length x baseline in pixels and the unit of the map."""
+    return disparity_of_depth(read_plane(file).astype(np.float32), fb)
+
+
+def _falling_things(found: Found) -> dict[str, Any]:
+    """Return the cameras of a scene, and how its codes, 10000 a meter, become disparities."""
+    with naming(file := found.folder.path / _FALLING_THINGS):
+        settings = json_object(read_bytes(file, _MAX_SETTINGS)).get("camera_settings")
+        first = settings[0] if isinstance(settings, list) and settings and isinstance(settings[0], dict) else {}
+        inner = first.get("intrinsic_settings")
+        fields = inner if isinstance(inner, dict) else {}
+        camera = Intrinsics(*(float(numbers(fields.get(key), key, (1,))[0]) for key in ("fx", "fy", "cx", "cy")))
+        geometry = PairGeometry(camera, _FALLING_THINGS_BASELINE)
+    return {"geometry": geometry, "decode": partial(_decode_depth, fb=geometry.fb * _FALLING_THINGS_CODES)}
+
+
 def _booster(found: Found) -> dict[str, Any]:
     if "camera_02" in found.folder.names:
         return {}
@@ -176,6 +196,14 @@ _KITTI_FILES = {
     "left": "<0>/{frame}_10.png", "right": "<1>/{frame}_10.png", "disparity_left": "disp_occ/{frame}_10.png",
     "disparity_noc": "disp_noc/{frame}_10.png", "calibration": "calib/{frame}.txt", "name": "{frame}_10",
 }  # fmt: skip
+# The cameras of TartanAir (data_type.md of its tools), pixels and meters; codes and baseline of Falling Things
+# (readme of its authors), per meter and in meters.
+_TARTAN_AIR = PairGeometry(Intrinsics(320.0, 320.0, 320.0, 240.0), 0.25, 0.0, (640, 480))
+_FALLING_THINGS, _FALLING_THINGS_CODES, _FALLING_THINGS_BASELINE = "_camera_settings.json", 10_000, 0.06
+_MAX_SETTINGS = 1 << 20  # bytes of the file of settings
+_ARGOVERSE = (
+    "rectified_stereo_images_v1.1/{{path}}/stereo_front_{0}_rect/stereo_front_{0}_rect_{{frame}}.jpg"  # of both sides
+)
 _SIDES = (("L", "R", "_"), ("l", "r", "_"), ("left", "right", "_"), ("left", "right", "-"), ("Left", "Right", "_"))
 _DRIVING_CALIB = "<0>-image-calib/{sequence}.txt"
 
@@ -203,7 +231,7 @@ PAIRS = Layouts.of(
                 ("cam0/data", "cam1/data"),
             )),
             *((f"left/{{name}}{gap}{left}", f"right/{{name}}{gap}{right}") for left, right, gap in _SIDES),
-        ), facts=_meta, either=True,
+        ), facts=_meta, either=True, without=("depth_left", "pose_left.txt"),
     ),
     LayoutRow(
         title="pairs",
@@ -260,6 +288,37 @@ PAIRS = Layouts.of(
                          "name": "{number}"}, ("image_2", "image_3"), ("image_0", "image_1")),
         values={"max_disparity": _KITTI_RANGE},
         facts=lambda found: {"cameras": (0, 1)} if "image_0" in str(found.files.get("left", "")) else {},
+    ),
+    LayoutRow(
+        title="kitti-raw", protocol="kitti_2015", either=True, values={"max_disparity": _KITTI_RANGE},
+        wants="`image_02/data/0000000000.png`, `image_03/data` or `image_00`, `image_01` of a `..._sync` drive; "
+        "`calib_cam_to_cam.txt` in it or in the folder of its day",
+        files=_variants({"left": "<0>/data/{number}.png", "right": "<1>/data/{number}.png", "name": "<0>/{number}",
+                         "calibration": "calib_cam_to_cam.txt|../calib_cam_to_cam.txt"},
+                        ("image_02", "image_03"), ("image_00", "image_01")),
+        facts=lambda found: {"cameras": (0, 1)} if "image_00" in str(found.files.get("left", "")) else {},
+    ),
+    LayoutRow(
+        title="tartanair", protocol="scene_flow", needs=("image_left", "image_right"),
+        wants="`image_left/000000_left.png`, `image_right/000000_right.png`, `depth_left/000000_left_depth.npy`: a "
+        "folder such as `P001`",
+        files=({"left": "image_left/{frame}_left.png", "right": "image_right/{frame}_right.png", "name": "{frame}",
+                "disparity_left": "depth_left/{frame}_left_depth.npy"},),
+        values={"geometry": _TARTAN_AIR, "decode": partial(_decode_depth, fb=_TARTAN_AIR.fb)},
+    ),
+    LayoutRow(
+        title="falling-things", protocol="scene_flow", needs=(_FALLING_THINGS,), facts=_falling_things,
+        wants="`000000.left.jpg`, `000000.right.jpg`, `000000.left.depth.png`, `_camera_settings.json`",
+        files=({"left": "{frame}.left.jpg", "right": "{frame}.right.jpg", "name": "{frame}",
+                "disparity_left": "{frame}.left.depth.png"},),
+    ),
+    LayoutRow(
+        title="argoverse-stereo", protocol="kitti_2015", values=_KITTI_VALUES,
+        wants="`rectified_stereo_images_v1.1/**/stereo_front_left_rect/stereo_front_left_rect_TIME.jpg`, "
+        "`stereo_front_right_rect`, `disparity_maps_v1.1/**/stereo_front_left_rect_disparity` (Argoverse 1)",
+        files=({"left": _ARGOVERSE.format("left"), "right": _ARGOVERSE.format("right"), "name": "{path_}{frame}",
+                "disparity_left": "disparity_maps_v1.1/{path}/stereo_front_left_rect_disparity/"
+                "stereo_front_left_rect_disparity_{frame}.png"},),
     ),
     LayoutRow(
         title="sceneflow", protocol="scene_flow",
