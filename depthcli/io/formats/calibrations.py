@@ -81,6 +81,7 @@ class Reading:
     fisheye: bool = False  # the lenses of OpenCV's file follow its fisheye model; the other formats name the model
     cameras: tuple[int, int] = (2, 3)  # numbers of the left and the right camera, in KITTI's files
     alpha: float = 0.0  # extent of the rectified images, see :meth:`Rig.rectified`
+    asks: bool = True  # for the unit, if the baseline is an unusual one
 
     def meters(self, usual: float = 1.0) -> float:
         """Return the meters of a unit of the file, ``usual`` if the user does not say."""
@@ -89,12 +90,14 @@ class Reading:
     def check(self, baseline: float) -> None:
         """Raise InputError if no usual rig has this baseline, in meters, and the user does not say the unit."""
         low, high = _BASELINES
-        if self.unit is None and baseline > 0 and not low <= baseline <= high:
+        if self.unit is not None or not self.asks:
+            return
+        if baseline > 0 and not low <= baseline <= high:
             raise InputError(
                 f"a baseline of {baseline:g} m; which unit has the translation? Give the unit, as --unit mm, --unit m, "
                 "or that of squares of a board, --unit 24mm"
             )
-        if self.unit is None and baseline > _LONG_BASELINE:
+        if baseline > _LONG_BASELINE:
             warn(f"a baseline of {baseline:g} m: if the translation has another unit, give the unit, as --unit mm")
 
 
@@ -203,7 +206,7 @@ def read_geometry(
             return geometry
         rig = _rig(texts, reading, size)
         if rectified is not None:
-            return read_geometry(rectified, Reading("mm"))
+            return read_geometry(rectified, Reading(asks=False))
         if (geometry := _projected(stored, rig.left.size, reading.meters())) is not None:
             reading.check(geometry.baseline)
             warn("the map is taken to be of a pair that was rectified by its projections")
