@@ -26,7 +26,7 @@ _OTHER_WORDS = re.compile(
 )
 _OTHER_STEMS = ("left", "{scene}_left")
 
-PROBABILITY = "probability_within"
+PROBABILITY = "probability"
 """Name of the confidence in the file ``probability``."""
 
 ValueT = TypeVar("ValueT")
@@ -86,8 +86,10 @@ class MapFiles:
 
     def planes(self, path: Path) -> dict[str, Path]:
         """Return name -> file of the confidence maps, and of ``PROBABILITY``, in the folder of a map."""
-        probability = self.companion(path, "probability")
-        return self.confidences(path) | ({} if probability is None else {PROBABILITY: probability})
+        found, probability = self.confidences(path), self.companion(path, PROBABILITY)
+        if PROBABILITY in found:  # of a network that chooses among maps: confidence_probability.pfm
+            found[f"confidence_{PROBABILITY}"] = found.pop(PROBABILITY)
+        return found | ({} if probability is None else {PROBABILITY: probability})
 
     def _in_run_folder(self, path: Path) -> bool:
         """Return whether the map is named as in a run folder, so that the other files of its folder belong to it."""

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,6 +71,10 @@ class RegisterConfidenceConfig(RootConfig):
         description="convention of displacement files; auto: what the header says, checked against the others",
     )
     neurological: bool = Field(False, description="pictures have the patient's right on the right, else on the left")
+    figure: Literal["dark", "light"] = Field("dark", description="paper of preview.png; light: white, for print")
+    slice_at: tuple[float, float, float] | None = Field(
+        None, description="point x, y, z, mm LPS, that the slices of preview.png go through; null: the middle"
+    )
 
     def peak_bytes(self, grid: Grid, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> int:
         """Return an estimate of the peak memory of a pair that is loaded as ``shape`` voxels, bytes."""
@@ -90,6 +94,8 @@ class RegistrationConfidence:
     seconds: Mapping[str, float]  # stage -> time
     warnings: tuple[str, ...] = ()  # what looks wrong, one line each
     neurological: bool = False  # pictures have the patient's right on the right
+    figure: str = "dark"  # paper of pictures, or "light"
+    slice_at: tuple[float, float, float] | None = None  # mm, LPS: where pictures show slices; None: the middle
 
     @property
     def grid(self) -> Grid:
@@ -228,7 +234,12 @@ class RegistrationConfidence:
             errors["bound of the error"] = self.bounds["bound"]
         maps = {title: partial(at_voxels, values, result.start, result.step) for title, values in errors.items()}
         inside = body if pair.mask is None else pair.mask
-        return draw_volumes(volumes, self.grid, self.loaded.blocks, maps, inside, self.neurological)
+        at = None
+        if self.slice_at is not None:  # the voxel of the volumes as they were loaded
+            voxel, blocks = self.grid.to_index(np.array([self.slice_at]))[0], np.array(self.loaded.blocks)
+            at = np.rint((voxel - (blocks - 1) / 2) / blocks).astype(int).tolist()
+        light = self.figure == "light"
+        return draw_volumes(volumes, self.grid, self.loaded.blocks, maps, inside, self.neurological, light, at)
 
     def __repr__(self) -> str:
         error, size = self.details.figures["mean_error"], " x ".join(map(str, self.grid.size))
@@ -346,7 +357,8 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
         if np.array_equal(loaded.pair.fixed, loaded.pair.warped):
             warnings.append("fixed and registered volume are the same: is one of them given twice?")
         seconds = dict(clock.seconds)
-        return RegistrationConfidence(loaded, details, bounds, seconds, tuple(warnings), config.neurological)
+        shown = config.neurological, config.figure, config.slice_at
+        return RegistrationConfidence(loaded, details, bounds, seconds, tuple(warnings), *shown)
 
     def row(self, inputs: VolumePair, result: RegistrationConfidence) -> Row:
         """Return size, figures, and the figures of regions, whose masks are read one by one."""

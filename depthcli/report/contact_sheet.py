@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import cv2
@@ -15,7 +15,7 @@ from depthcli.evaluation.protocols import AnyProtocol, picture
 from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.images import write_png
 from depthcli.io.scenes import Scene
-from depthcli.show.draw import draw, draw_text, kind_colors
+from depthcli.show.draw import draw, draw_swatch, draw_text, kind_colors
 from depthcli.show.view import NO_VALUE, Picture, View
 
 _MAX_SCENES = 4  # rows: the sheet fits a screen
@@ -55,13 +55,15 @@ class ContactSheet(Viewer):
         if image is None or image.ndim != 3 or image.shape[2] != 3:
             return
         self._scene = scene.name
-        own = [_small(image)]
+        own = [_named("image", image)]
         if values.ndim == 2 and np.isfinite(values).any():
             known = values[np.isfinite(values)]
             self._ends = float(known.min()), float(known.max())
             sensor = presentation.sensor(scene)
-            maps = [values] if sensor is None or sensor.shape != values.shape else [values, sensor]
-            own += [*map(self._map, maps), _bar(*self._ends, presentation.unit)]
+            own.append(self._map("ground truth", values))
+            if sensor is not None and sensor.shape == values.shape:
+                own.append(self._map("sensor", sensor))
+            own.append(_bar(*self._ends, presentation.unit))
         self._rows.append(_Row(scene.name, protocol, {"": own}, []))
 
     def add_map(self, scored: ScoredMap) -> None:
@@ -74,12 +76,12 @@ class ContactSheet(Viewer):
         self._runs.add(result.run)
         pictures = row.pictures[result.run] = []
         if len(row.pictures[""]) > 1:
-            pictures.append(self._map(row.protocol.values(estimate, truth)))
+            pictures.append(self._map("map", row.protocol.values(estimate, truth)))
         if (errors := picture(row.protocol, estimate, truth)) is not None:
-            pictures.append(_small(errors))
+            pictures.append(_named("errors", errors))
 
-    def _map(self, values: NDArray[np.floating[Any]]) -> Picture:
-        return _small(draw(View(values, scale=self._ends), "values"))
+    def _map(self, name: str, values: NDArray[np.floating[Any]]) -> Picture:
+        return _named(name, draw(View(values, scale=self._ends), "values"))
 
     def _choose(self) -> None:
         """Keep the scenes that differ most so far, in this order."""
@@ -118,7 +120,7 @@ class ContactSheet(Viewer):
                     y += len(small) + _GAP
             top += _LINE + height
         for text, color in kinds:
-            _swatch(sheet, text, (_GAP, top), color)
+            draw_swatch(sheet, text, (_GAP, top), color)
             top += _LINE
         write_png(self.folder / self.file, sheet)
 
@@ -128,15 +130,17 @@ def _bar(low: float, high: float, unit: str) -> Picture:
     bar = np.full((2 * _LINE, _WIDTH, 3), 255, np.uint8)
     bar[2:12] = draw(View(np.linspace(low, high, _WIDTH)[None], scale=(low, high)), "values")
     draw_text(bar, f"{low:.4g} to {high:.4g} {unit}", (0, _LINE), _INK)
-    _swatch(bar, "no value", (_WIDTH - 100, _LINE // 2), NO_VALUE)
+    draw_swatch(bar, "no value", (_WIDTH - 100, _LINE // 2), NO_VALUE)
     return bar
 
 
-def _swatch(sheet: Picture, text: str, place: tuple[int, int], color: Sequence[int]) -> None:
-    x, y = place
-    cv2.rectangle(sheet, (x, y + 4), (x + 18, y + _LINE - 4), [*color], -1)
-    cv2.rectangle(sheet, (x, y + 4), (x + 18, y + _LINE - 4), _INK)
-    draw_text(sheet, text, (x + 26, y + _LINE // 2), _INK)
+def _named(name: str, image: Picture) -> Picture:
+    """Return a small picture below its name."""
+    small = _small(image)
+    panel = np.full((_LINE + len(small), _WIDTH, 3), 255, np.uint8)
+    panel[_LINE:] = small
+    draw_text(panel, name, (0, _LINE // 2), _INK, max_width=_WIDTH)
+    return panel
 
 
 def _small(image: Picture) -> Picture:

@@ -7,8 +7,10 @@ from collections.abc import Mapping
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import ScoredMap, Viewer
 from depthcli.io.formats.files import write_text
+from depthcli.io.formats.images import write_png
 from depthcli.report.plots import curve_plot
 from depthcli.report.tables import report_tables
+from depthcli.show.draw import draw_legend, kind_colors
 from depthcli.show.table import markdown_code, markdown_link, markdown_text
 
 
@@ -26,8 +28,14 @@ class Document(Viewer):
             write_text(self.folder / plot, curve_plot(lines, f"{result.run}: {result.scene}, {region}", of))
 
     def write(self, report: EvaluationReport, scores: str, configs: Mapping[str, str]) -> None:
-        """Write ``report.md``."""
+        """Write ``report.md``, and legends of the error pictures."""
         write_text(self.folder / self.file, _markdown(report))
+        drawn = [each for each in report.protocols.values() if each.presentation.error_pictures]
+        for protocol in drawn if any(not result.error for result in report.results) else []:
+            names = protocol.presentation.pixel_kind_names
+            legend = draw_legend(zip(names, kind_colors().tolist(), strict=True))
+            which = f"_{protocol.name}" if len(drawn) > 1 else ""
+            write_png(self.folder / "errors" / f"legend{which}.png", legend)
 
 
 def _markdown(report: EvaluationReport) -> str:

@@ -8,6 +8,7 @@ import math
 import shutil
 from collections.abc import Mapping, Sequence
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from depthcli.core.text import printable, without_secrets
@@ -16,7 +17,7 @@ from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.evaluate import ScoredMap, Viewer
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.scores import difference
-from depthcli.io.formats.files import write_text
+from depthcli.io.formats.files import short_path, write_text
 from depthcli.io.scenes import Scene
 from depthcli.report import tables
 from depthcli.report.packing import script_json
@@ -26,7 +27,7 @@ from depthcli.report.terms import heading_help
 from depthcli.report.without_truth import RunWithoutTruth, scenes_without_truth
 from depthcli.run.flags import Flags
 from depthcli.show.draw import error_scales, map_colors
-from depthcli.show.table import Number
+from depthcli.show.table import Number, to_csv
 from depthcli.show.view import MEASURED_CODE, NO_VALUE
 
 _ASSETS = "assets"  # folder of the pictures that do not fit into the page
@@ -104,7 +105,7 @@ class Page(Viewer):
             no_value=NO_VALUE, report=report, command=without_secrets(self.command), flags=flags, factor=factor,
             assets=_ASSETS, measured_code=MEASURED_CODE if any(view.codes for view in views) else "",
             configs={run: text[:_MAX_CONFIG] for run, text in configs.items()},
-            sections=[_section_data(section) for section in report.sections] if report else [],
+            sections=[_section_data(section, self.folder) for section in report.sections] if report else [],
             overview=tables.overview(report) if report else [], others=tables.further_tables(report) if report else [],
             kinds=_pixel_kinds(scored), scenes=shown, most=_differing(report, shown) if report else None,
             without=without, number_of={view.name: number for number, view in enumerate(views)},
@@ -140,8 +141,17 @@ def _pixel_kinds(views: Sequence[SceneView]) -> list[list[tuple[str, ...]]]:
     return [[(words, *end) for words, end in zip(each, ends, strict=True)] for each in wordings]
 
 
-def _section_data(section: Section) -> dict[str, Any]:
-    """Return the data of a section for the template: runs from the best to the worst, tables, plots."""
+def _section_data(section: Section, folder: Path) -> dict[str, Any]:
+    """Return the data of a section for the template: runs from the best to the worst, tables, plots.
+
+    The plots, and the numbers of their curves, are also written into the folder.
+    """
+    drawn = plots(section)
+    for plot in drawn.values():
+        name = short_path(f"curves/all_scenes/{section.data_set}_{section.protocol.name}_{plot.name}")
+        write_text(folder / f"{name}.svg", plot.svg)
+        if plot.rows:
+            write_text(folder / f"{name}.csv", to_csv(plot.rows))
     headline, runs, order = section.protocol.headline, section.runs, section.ranking.runs
     figures = {run: section.overall(run).value for run in runs}
     known = [run for run in order if not math.isnan(figures[run])]
@@ -161,8 +171,8 @@ def _section_data(section: Section) -> dict[str, Any]:
         "bars": {run: 100 * figures[run] / longest if run in known else 0.0 for run in runs},
         "wide": [(*key, tables.wide_by_scene(section, key)) for key in list(keys)[:n_keys]],
         "plots": {
-            caption: f"data:image/svg+xml;base64,{base64.b64encode(svg.encode()).decode('ascii')}"
-            for caption, svg in plots(section).items()
+            caption: f"data:image/svg+xml;base64,{base64.b64encode(plot.svg.encode()).decode('ascii')}"
+            for caption, plot in drawn.items()
         },
     }
 

@@ -29,23 +29,38 @@ _SETTINGS: dict[str, Any] = {"svg.fonttype": "none", "svg.hashsalt": "depthcli",
 _SETTINGS |= {"axes.spines.top": False, "axes.spines.right": False}
 
 
-def plots(section: Section) -> dict[str, str]:
-    """Return caption -> text of an SVG file, of all plots that the section has numbers for."""
+class Plot(NamedTuple):
+    """A plot of one data set."""
+
+    name: str  # of its files
+    svg: str  # text of an SVG file
+    rows: Sequence[Mapping[str, Any]] = ()  # numbers of its curves; empty: it has none
+
+
+def plots(section: Section) -> dict[str, Plot]:
+    """Return caption -> plot, of all plots that the section has numbers for."""
     made = {}
     metric = section.protocol.headline.heading_with_unit
     what, word = f"{metric}, {section.regions[0]}", section.protocol.presentation.mean_heading
     if len(section.scenes) > 2:
-        made[f"Spread over the scenes ({what}): box: middle half; line: median; dots: scenes"] = _boxes(section, what)
+        caption = f"Spread over the scenes ({what}): box: middle half; line: median; dots: scenes"
+        made[caption] = Plot("spread", _boxes(section, what))
     if lines := {run: scores for run in section.ranking.runs if (scores := section.threshold_curve(run))}:
         caption = f"Against the threshold, {word} of all scenes{_best(len(lines))}; dots: thresholds of the tables"
+        rows = [
+            {"run": run, s.metric.name: s.value, "threshold": s.metric.threshold, "mask": s.region}
+            for run, scores in lines.items()
+            for s in scores
+        ]
         lines = dict([*lines.items()][:_MAX_CURVES])
-        made[caption] = _by_threshold(section, {run: lines[run] for run in section.runs if run in lines})
+        shown = {run: lines[run] for run in section.runs if run in lines}
+        made[caption] = Plot("threshold", _by_threshold(section, shown), rows)
     if any(not math.isnan(r.seconds) for r in section.results):
         of_all = f"{metric}, {' + '.join(section.figure_regions)}"
-        made[f"Mean time of a scene against {of_all}, {word} of all scenes"] = _times(section, of_all)
+        made[f"Mean time of a scene against {of_all}, {word} of all scenes"] = Plot("times", _times(section, of_all))
     if coverage := _coverage(section):
         what = f"Coverage of the bounds against their level, {section.regions[0]}: means over the maps"
-        made[f"{what}; dotted: as promised"] = coverage
+        made[f"{what}; dotted: as promised"] = Plot("coverage", coverage)
     return made | _confidences(section)
 
 
@@ -113,7 +128,7 @@ def _coverage(section: Section) -> str:
     return line_plot(lines, "", "level, %", "coverage, %", any_names=True)
 
 
-def _confidences(section: Section) -> dict[str, str]:
+def _confidences(section: Section) -> dict[str, Plot]:
     """Return caption -> plot of sparsification and reliability, a line per run and confidence over all scenes."""
     groups: dict[tuple[str, str], dict[str, list[ConfidenceCurve]]] = {}
     for r in section.results:
@@ -134,7 +149,13 @@ def _confidences(section: Section) -> dict[str, str]:
         y_label = what if of == "bad" else f"{what}, {section.protocol.presentation.unit}"
         caption = f"Sparsification, {region}: {what} of the most confident pixels{_best(len(curves))}"
         caption += "; dotted: the best ranking"
-        made[caption] = line_plot(drawn, "", _SHARE_AXIS, y_label, any_names=True)
+        rows = [
+            {"curve": name, "percent of the pixels": percent, y_label: error}
+            for name in ordered
+            for percent, error in zip(PERCENTAGES, errors[name], strict=True)
+        ]
+        svg = line_plot(drawn, "", _SHARE_AXIS, y_label, any_names=True)
+        made[caption] = Plot(f"sparsification_{region}_{of}", svg, rows)
         known = {name: [c.reliability for c in found if c.reliability] for name, found in curves.items()}
         pooled = {name: Reliability.pooled(found) for name, found in known.items() if found}
         if pooled:
@@ -144,7 +165,13 @@ def _confidences(section: Section) -> dict[str, str]:
             drawn.append(Line("", (0, 1), (0, 1), bound=True))
             what = f"how often pixels of a confidence are right, with the expected calibration error{more}"
             caption = f"Reliability, {region}: {what}; dotted: as often as they say"
-            reliabilities[caption] = line_plot(drawn, "", "confidence", "share of right pixels", any_names=True)
+            rows = [
+                {"curve": name, "confidence": confidence, "share of right pixels": right}
+                for name, one in pooled.items()
+                for confidence, right in zip(one.confidence, one.right, strict=True)
+            ]
+            svg = line_plot(drawn, "", "confidence", "share of right pixels", any_names=True)
+            reliabilities[caption] = Plot(f"reliability_{region}", svg, rows)
     return made | reliabilities
 
 

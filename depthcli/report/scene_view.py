@@ -224,7 +224,7 @@ class SceneView:
             self.figures["expected wrong, %"] = 100 * (1 - float(confidence[PROBABILITY][known].mean()))
             self.note = "; ".join(filter(None, (_EXPECTED_WRONG, self.note)))
         self.figures |= shown.figures
-        titles = {"confidence": "confidence", PROBABILITY: "probability"}
+        titles = {name: name for name in ("confidence", f"confidence_{PROBABILITY}", PROBABILITY)}
         chosen = {titles.get(name, f"confidence {name}"): name for name in [*confidence][:_MAX_CONFIDENCES]}
         for said, name in chosen.items():
             finite = confidence[name][np.isfinite(confidence[name])]

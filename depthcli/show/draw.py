@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from functools import cache
 from typing import Any
 
@@ -39,7 +40,7 @@ def draw(view: View, what: str, scale: Range | None = None) -> Picture:
     """
     if what == "preview":
         picture = _turbo(view.values, *view.scale)
-        return picture if view.bound is None else _with_bound(picture, view)
+        return picture if view.bound is None and not _is_depth(view) else _with_scales(picture, view)
     if what == "values":
         return _over_image(view, _viridis(view.values, *(scale or view.scale)), np.isnan(view.values))
     if what == "status" and view.status is not None:
@@ -89,23 +90,61 @@ def _over_image(view: View, picture: Picture, nothing: NDArray[np.bool_]) -> Pic
     return np.where(nothing[..., None], view.image, mixed)
 
 
-def _with_bound(picture: Picture, view: View) -> Picture:
-    """Return the picture of a map next to its bounds, with the color bar of the bounds below."""
-    bound = view.bound
-    assert bound is not None
-    (low, high), (height, width) = bound_range(bound), bound.shape
-    sheet = np.full((height + 3 * _LINE, 2 * width + _MARGIN, 3), 255, np.uint8)
-    sheet[:height, :width], shown = picture, sheet[:, width + _MARGIN :]
-    shown[:height] = draw(view, "bound", (low, high))
-    bar = np.geomspace(low, high, width)[None]
-    shown[height + _LINE + 2 : height + 2 * _LINE - 6] = draw(View(bar, bound=bar), "bound", (low, high))
-    draw_text(sheet, f"bound, {view.unit}", (width + _MARGIN, height + _LINE // 2), _INK, max_width=width)
-    for share in (0.0, 0.5, 1.0) if width > 5 * _LINE else (1.0,):
-        number = f"{low ** (1 - share) * high**share:.2g}" + f" {view.unit}" * (share == 1)
-        free = width - cv2.getTextSize(number, *_FONT, 1)[0][0]
-        place = round(width + _MARGIN + share * free), height + 2 * _LINE + 6
-        draw_text(sheet, number, place, _INK)
+def _is_depth(view: View) -> bool:
+    """Return whether values are inverse depths, of a known range, as of ``View.of_depth``."""
+    return view.unit == "m" and 0 < view.scale[0] <= view.scale[1]
+
+
+def _with_scales(picture: Picture, view: View) -> Picture:
+    """Return the picture of a map over the scale of depths in meters, and beside it any bounds over theirs."""
+    bound, (height, width) = view.bound, picture.shape[:2]
+    total = width if bound is None else 2 * width + _MARGIN
+    sheet = np.full((height + 3 * _LINE, total, 3), 255, np.uint8)
+    sheet[:height, :width] = picture
+    if _is_depth(view):
+        ramp = np.linspace(*view.scale, width, dtype=np.float32)[None]
+        ends = [1 / (view.scale[0] + share * (view.scale[1] - view.scale[0])) for share in (0.0, 0.5, 1.0)]
+        _draw_scale(sheet, (0, height, width), _turbo(ramp, *view.scale), "depth, m", ends, view.unit)
+    if bound is not None:
+        low, high = bound_range(bound)
+        sheet[:height, width + _MARGIN :] = draw(view, "bound", (low, high))
+        bar = np.geomspace(low, high, width)[None]
+        ends = [low ** (1 - share) * high**share for share in (0.0, 0.5, 1.0)]
+        colors, place = draw(View(bar, bound=bar), "bound", (low, high)), (width + _MARGIN, height, width)
+        _draw_scale(sheet, place, colors, f"bound, {view.unit}", ends, view.unit)
     return sheet
+
+
+def _draw_scale(
+    sheet: Picture, place: tuple[int, int, int], colors: Picture, title: str, ends: Sequence[float], unit: str
+) -> None:
+    """Draw a title, a bar of colors and the numbers of its left end, middle and right end; place: x, y, width."""
+    x, y, width = place
+    sheet[y + _LINE + 2 : y + 2 * _LINE - 6, x : x + width] = colors
+    draw_text(sheet, title, (x, y + _LINE // 2), _INK, max_width=width)
+    for share in (0.0, 0.5, 1.0) if width > 5 * _LINE else (1.0,):
+        number = f"{ends[round(2 * share)]:.2g}" + f" {unit}" * (share == 1)
+        free = width - cv2.getTextSize(number, *_FONT, 1)[0][0]
+        draw_text(sheet, number, (round(x + share * free), y + 2 * _LINE + 6), _INK)
+
+
+def draw_legend(entries: Iterable[tuple[str, Sequence[int]]]) -> Picture:
+    """Return a picture with a swatch of each color beside its words."""
+    rows = [*entries]
+    width = max((cv2.getTextSize(words, *_FONT, 1)[0][0] for words, _ in rows), default=0)
+    sheet = np.full((_LINE * len(rows) + 2 * _MARGIN, width + 3 * _MARGIN + _LINE, 3), 255, np.uint8)
+    for k, (words, color) in enumerate(rows):
+        top = _MARGIN + k * _LINE
+        draw_swatch(sheet, words, (_MARGIN, top), color)
+    return sheet
+
+
+def draw_swatch(sheet: Picture, words: str, place: tuple[int, int], color: Sequence[int]) -> None:
+    """Draw a line of a legend with its upper left corner at x, y: a swatch and its words."""
+    x, y = place
+    cv2.rectangle(sheet, (x, y + 4), (x + 18, y + _LINE - 4), [*color], -1)
+    cv2.rectangle(sheet, (x, y + 4), (x + 18, y + _LINE - 4), _INK)
+    draw_text(sheet, words, (x + 26, y + _LINE // 2), _INK)
 
 
 @cache

@@ -17,7 +17,9 @@ from depthcli.show.view import Picture, View
 _MAX_SHOWN_ERROR = 10.0  # mm; this and more is dark red
 _SIDE, _MARGIN, _LINE = 300, 24, 22  # pixels: longest side of a slice, space around it for letters, line of text
 _SCALE_WIDTH = 90  # pixels, of the scale with its numbers
-_PAPER, _INK = 24, (225, 225, 225)
+_Style = tuple[int, tuple[int, int, int]]  # grey level of the paper, color of letters
+_DARK: _Style = (24, (225, 225, 225))
+_LIGHT: _Style = (255, (30, 30, 30))
 
 
 def draw_volumes(
@@ -27,8 +29,10 @@ def draw_volumes(
     maps: Mapping[str, Callable[[Sequence[int], Sequence[int]], NDArray[np.float32]]],
     inside: NDArray[np.bool_] | Callable[[Picture], NDArray[np.bool_]],
     neurological: bool,
+    light: bool = False,
+    at: Sequence[int] | None = None,
 ) -> Picture:
-    """Return (H, W, 3) RGB, at least 900 wide: a row for the middle slice across each axis of the body.
+    """Return (H, W, 3) RGB, at least 900 wide: a row for one slice across each axis of the body.
 
     Columns: the volumes, and the maps over the first one. Sides are true in mm; anterior and superior are up; the
     patient's right is on the left, or, in neurological pictures, on the right.
@@ -39,7 +43,10 @@ def draw_volumes(
     grid, blocks : the grid of the volumes, and how many of its voxels (z, y, x) one of theirs is the mean of
     maps : title -> function of a shape and of a corner, in voxels of the volumes, that returns the values there, mm
     inside : voxels that the maps are shown at, or a function that finds these in grey levels of a slice
+    light : on white paper, for print
+    at : voxel (z, y, x) of the volumes that the slices go through; None: the middle
     """
+    style = paper, ink = _LIGHT if light else _DARK
     fixed = next(iter(volumes.values()))
     low, high = (float(v) for v in np.percentile(fixed[:: max(1, len(fixed) // 16)], [1, 99]))
     scaling = 255 / max(high - low, 1e-6)
@@ -53,6 +60,9 @@ def draw_volumes(
             continue  # of a single slice
         middle = shape[axis] // 2
         stored = shape[axis] - 1 - middle if axis in flipped else middle
+        if at is not None:
+            stored = min(max(int(at[order[axis]]), 0), shape[axis] - 1)
+            middle = shape[axis] - 1 - stored if axis in flipped else stored
         cuts = [grid.turned(np.take(volume, [stored], order[axis])).squeeze(axis) for volume in volumes.values()]
         greys = [((np.clip(cut, low, high) - low) * scaling).astype(np.uint8) for cut in cuts]
         if callable(inside):
@@ -77,40 +87,42 @@ def draw_volumes(
         first, step = grid.slice_positions(axis)
         place = side_and_distance(ENDS[axis], first + step * ((middle + 0.5) * blocks[order[axis]] - 0.5))
         titles = (f"{plane}, {place}", *[""] * (len(pictures) - 1))
-        framed = [_framed(picture, ends, title) for picture, title in zip(pictures, titles, strict=True)]
+        framed = [_framed(picture, ends, title, style) for picture, title in zip(pictures, titles, strict=True)]
         rows.append(np.concatenate(framed, axis=1))
     side = _SIDE + 2 * _MARGIN
-    heading = np.full((_LINE + 6, (len(volumes) + len(maps)) * side, 3), _PAPER, np.uint8)
+    heading = np.full((_LINE + 6, (len(volumes) + len(maps)) * side, 3), paper, np.uint8)
     for k, title in enumerate((*volumes, *maps)):
-        draw_text(heading, title, (k * side + side // 2, _LINE // 2 + 4), _INK, centered=True)
+        draw_text(heading, title, (k * side + side // 2, _LINE // 2 + 4), ink, centered=True)
     sheet = np.concatenate([heading, *rows])
     short = _LINE + 6 + 2 * _MARGIN + _SIDE - len(sheet)  # of wide slices, beside the scale
-    sheet = np.pad(sheet, ((0, max(short, 0)), (0, 0), (0, 0)), constant_values=_PAPER)
-    return np.concatenate([sheet, _scale(len(sheet))], axis=1)
+    sheet = np.pad(sheet, ((0, max(short, 0)), (0, 0), (0, 0)), constant_values=paper)
+    return np.concatenate([sheet, _scale(len(sheet), style)], axis=1)
 
 
-def _framed(picture: Picture, ends: str, title: str) -> Picture:
+def _framed(picture: Picture, ends: str, title: str, style: _Style) -> Picture:
     """Return the picture with the letters of its sides around it and a title below, all of one width."""
+    paper, ink = style
     height, width = picture.shape[:2]
-    frame = np.full((height + 2 * _MARGIN + _LINE, _SIDE + 2 * _MARGIN, 3), _PAPER, np.uint8)
+    frame = np.full((height + 2 * _MARGIN + _LINE, _SIDE + 2 * _MARGIN, 3), paper, np.uint8)
     left, middle = (frame.shape[1] - width) // 2, frame.shape[1] // 2
     frame[_MARGIN : _MARGIN + height, left : left + width] = picture
     half = _MARGIN // 2
     beside = _MARGIN + height // 2
     places = ((middle, half), (middle, _MARGIN + height + half), (left - half, beside), (left + width + half, beside))
     for letter, place in zip(ends, places, strict=True):
-        draw_text(frame, letter, place, _INK, centered=True)
-    draw_text(frame, title, (_MARGIN, len(frame) - _LINE // 2), _INK)
+        draw_text(frame, letter, place, ink, centered=True)
+    draw_text(frame, title, (_MARGIN, len(frame) - _LINE // 2), ink)
     return frame
 
 
-def _scale(height: int) -> Picture:
+def _scale(height: int, style: _Style) -> Picture:
     """Return the colors of the maps with their numbers."""
-    scale = np.full((height, _SCALE_WIDTH, 3), _PAPER, np.uint8)
+    paper, ink = style
+    scale = np.full((height, _SCALE_WIDTH, 3), paper, np.uint8)
     top, length = _LINE + 6 + _MARGIN, _SIDE
     ramp = np.linspace(255, 0, length).astype(np.uint8)[:, None]
     scale[top : top + length, 8:24] = draw(View(ramp.astype(np.float32), scale=(0.0, 255.0)), "preview")
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         number = f"{share * _MAX_SHOWN_ERROR:g}" + ("+ mm" if share == 1 else "")
-        draw_text(scale, number, (30, top + round((1 - share) * length)), _INK)
+        draw_text(scale, number, (30, top + round((1 - share) * length)), ink)
     return scale

@@ -257,7 +257,7 @@ def test_evaluating_twice_gives_the_same_bytes(tmp_path: Path, truth: Path):
         shutil.rmtree(tmp_path / "out")
     assert seen[0] == seen[1]
     tables = {"record.json", "report.md", "scores.csv", "scores.json"}
-    assert set(seen[0]) == {*tables, "errors/run/a.png", "errors/run/b.png"}
+    assert set(seen[0]) == {*tables, "errors/run/a.png", "errors/run/b.png", "errors/legend.png"}
 
 
 def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, truth: Path, monkeypatch, capsys):
@@ -268,7 +268,15 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
     (out / "notes.txt").write_text("mine")
     other = run_of(tmp_path / "other", {"a": exact(truth), "b": exact(truth)})
     evaluated([other], truth, out)
-    left = {"errors/other/a.png", "errors/other/b.png", "notes.txt", "report.md", "scores.csv", "scores.json"}
+    left = {
+        "errors/legend.png",
+        "errors/other/a.png",
+        "errors/other/b.png",
+        "notes.txt",
+        "report.md",
+        "scores.csv",
+        "scores.json",
+    }
     assert set(contents(out)) == left
     (out / "errors/run").mkdir()
     (out / "errors/run/a.png").write_text("mine")  # beside a record: found when results are moved in

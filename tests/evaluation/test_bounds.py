@@ -162,7 +162,7 @@ def test_evaluate_measures_bounds_of_two_runs(two_runs: list[str], tmp_path: Pat
     assert len({rows[of]["value"] for of in (("a", "all", COVERAGE), ("a", "all", WORST), ("b", "all", COVERAGE))}) == 1
     # Of a probability that all errors are within 5 px, and so they are.
     curves = [c for c in report["results"][0]["confidence"] if (c["mask"], c["of"]) == ("all", "bad")]
-    assert {c["measure"]: c["ece"] for c in curves}["probability_within"] == 0
+    assert {c["measure"]: c["ece"] for c in curves}["probability"] == 0
     with (out / "scores.csv").open(encoding="utf-8") as file:
         (mean,) = (r for r in csv.DictReader(file) if (r["run"], r["scene"], r["mask"], r["metric"]) == (
             "b", "*mean", "all", COVERAGE))  # fmt: skip

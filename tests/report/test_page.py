@@ -107,6 +107,25 @@ def test_numbers_are_those_of_csv_and_json(made: Path):
     assert cells["mean of 2", "good"] == f"{np.mean([float(r['value']) for r in rows if mean_row(r)]):.2f}"
 
 
+def test_curves_and_legends_lie_beside_the_page(made: Path):
+    assert "error. " in read(made).text.replace("\n", " ") and "error.Click" not in read(made).text
+    assert read_image(made / "errors" / "legend.png").shape[2] == 3
+    (table,) = (made / "curves" / "all_scenes").glob("*_threshold.csv")
+    assert table.with_suffix(".svg").read_text("utf-8").startswith("<?xml")
+    with table.open(newline="") as file:
+        drawn = [row for row in csv.DictReader(file) if float(row["threshold"]) == 1]
+    with (made / "scores.csv").open(newline="") as file:
+        means = {
+            row["run"]: row
+            for row in csv.DictReader(file)
+            if (row["scene"], row["metric"], row["threshold"], row["mask"]) == ("*mean", "bad", "1.0", drawn[0]["mask"])
+        }
+    assert {row["run"]: float(row["bad"]) for row in drawn} == pytest.approx(
+        {n: float(m["value"]) for n, m in means.items()}
+    )
+    assert [*(made / "curves" / "all_scenes").glob("*_sparsification_*.csv")]
+
+
 def mean_row(row: dict[str, str]) -> bool:
     return row["mask"] == "nonocc" and row["run"] == "good" and not row["scene"].startswith("*")
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from depthcli.show.draw import draw, map_colors
+from depthcli.show.draw import draw, draw_legend, map_colors
 from depthcli.show.view import NO_VALUE, View, bound_range
 
 
@@ -29,6 +29,23 @@ def test_previews():
     assert picture.dtype == np.uint8 and picture.shape == (1, 4, 3)
     assert picture[0, 3].tolist() == [0, 0, 0]
     assert len({tuple(color) for color in picture[0].tolist()}) == 4
+
+
+def test_depth_lies_over_a_scale_in_meters():
+    depth = np.linspace(1, 4, 200, dtype=np.float32)[None].repeat(20, axis=0)
+    picture = draw(View.of_depth(depth), "preview")
+    assert picture.shape == (20 + 3 * 20, 200, 3)
+    bar = picture[20 + 20 + 4].astype(int)
+    assert bar[0, 2] > bar[0, 0] and bar[-1, 0] > bar[-1, 2]  # far is blue, on the left, near red
+    assert (picture[20:40].min(axis=2) < 128).any() and (picture[60:].min(axis=2) < 128).any()  # title and numbers
+    both = draw(View.of_depth(depth, np.full(depth.shape, 0.1, np.float32)), "preview")
+    np.testing.assert_array_equal(both[:, :200], picture)
+
+
+def test_a_legend_names_its_colors():
+    picture = draw_legend([("right", (0, 0, 255)), ("wrong", (255, 0, 0))])
+    assert picture.shape[0] == 2 * 20 + 16
+    assert picture[8 + 10, 12].tolist() == [0, 0, 255] and picture[8 + 30, 12].tolist() == [255, 0, 0]
 
 
 def test_bounds_lie_beside_their_map_over_a_bar_of_their_colors():

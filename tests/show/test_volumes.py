@@ -25,6 +25,21 @@ def test_volumes_of_any_size_are_drawn(shape: tuple[int, int, int], neurological
     assert drawn.dtype == np.uint8 and drawn.shape[1] >= 900 and drawn.shape[2] == 3
 
 
+def test_slices_on_white_paper_through_a_point():
+    volume = np.zeros((20, 30, 40), np.float32)
+    volume[5, 6, 7] = 200  # in no middle slice
+    volume[0] = 100
+    grid = Grid(volume.shape[::-1], (1.0, 1.0, 1.0))
+    maps = {"error": lambda size, corner: np.full(size, 3, np.float32)}
+    shown = volume, grid, (1, 1, 1), maps, np.zeros(volume.shape, bool), False
+    dark, light, through = (
+        draw_volumes({"a": shown[0]}, *shown[1:], *more) for more in ((), (True,), (True, (5, 6, 7)))
+    )
+    assert dark[0, 0].max() < 50 and light[0, 0].min() == 255 and light.shape == dark.shape
+    bright = [int((picture[60:, :300] == 255).all(axis=2).sum()) for picture in (light, through)]
+    assert bright[1] > bright[0]
+
+
 def test_a_picture_that_cannot_be_drawn_is_said_and_a_full_disk_is_not_hidden(tmp_path):
     def fails() -> np.ndarray:
         raise ValueError("could not broadcast")
