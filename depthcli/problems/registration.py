@@ -352,7 +352,7 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
         if _beyond_search(details.figures):
             warnings.append(
                 f"{100 * details.figures['border']:.0f} % of the best matches lie on the border of the search: the "
-                "registration may be off by more than its range; a larger levels, radius or iso searches farther"
+                "registration may be off by more than its range; a larger radius or iso searches farther"
             )
         if np.array_equal(loaded.pair.fixed, loaded.pair.warped):
             warnings.append("fixed and registered volume are the same: is one of them given twice?")
