@@ -12,10 +12,11 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.io.formats.disparity import known_truth
 from depthcli.io.formats.files import shown, warn
-from depthcli.io.formats.images import pair_of, read_grey, read_image, read_pair
+from depthcli.io.formats.images import image_size, pair_of, read_grey, read_image, read_pair, read_two_frames
 from depthcli.io.formats.masks import read_mask
 from depthcli.io.formats.videos import read_frame
 from depthcli.io.scenes import StereoScene, check_same_size
+from depthcli.io.scenes.kinds import FRAMES, LEFT_RIGHT, TOP_BOTTOM
 
 # Full-size widths of the Middlebury 2005 and 2006 sets are between 1240 and 1396: the width tells the size.
 _SCALE_BY_WIDTH = ((900, 1.0), (550, 2.0), (0, 3.0))
@@ -36,6 +37,16 @@ class StereoTruth:
 def load_views(scene: StereoScene) -> tuple[Image, Image]:
     """Return both images as they are, which need not agree; InputError where one cannot be read."""
     left, right = _both(scene)
+    if scene.halves == FRAMES:
+        return read_two_frames(left)
+    if scene.halves:
+        whole = read_image(left) if scene.frame_number is None else read_frame(left, scene.frame_number)
+        axis = 1 if scene.halves == LEFT_RIGHT else 0
+        if whole.shape[axis] % 2:
+            sides = f"{whole.shape[1]} x {whole.shape[0]}"
+            raise InputError(f"{shown(left)}: {sides} pixels cannot be two views of one size, {scene.halves}")
+        one, other = np.split(whole, 2, axis=axis)
+        return np.ascontiguousarray(one), np.ascontiguousarray(other)
     if scene.frame_number is not None:
         return read_frame(left, scene.frame_number), read_frame(right, scene.frame_number)
     return read_image(left), read_image(right)
@@ -44,7 +55,15 @@ def load_views(scene: StereoScene) -> tuple[Image, Image]:
 def load_pair(scene: StereoScene) -> StereoPair:
     """Return left and right image of one size and dtype, both grey where one is; InputError otherwise."""
     files = _both(scene)
-    return read_pair(*files) if scene.frame_number is None else pair_of(*load_views(scene), files)
+    if scene.frame_number is None and not scene.halves:
+        return read_pair(*files)
+    return pair_of(*load_views(scene), files)
+
+
+def view_size(scene: StereoScene) -> tuple[int, int]:
+    """Return height and width of the left view by the header of its file."""
+    height, width = image_size(scene.left)
+    return height // (1 + (scene.halves == TOP_BOTTOM)), width // (1 + (scene.halves == LEFT_RIGHT))
 
 
 def _both(scene: StereoScene) -> tuple[Path, Path]:

@@ -160,7 +160,10 @@ class ToDepth(SceneJob[DisparityScene]):
         rectified = beside if os.path.isfile(beside) and os.path.isfile(scene.folder / "left.png") else None
         given = {key: self.config[key] for key in ("unit", "fisheye", "cameras", "alpha") if key in self.config}
         is_own = scene.calibration == rectified and os.path.isfile(scene.folder / "record.json")
-        own = {"cameras": scene.cameras, "asks": not is_own}  # its unit is known, whatever the baseline is
+        own: dict[str, Any] = {
+            "cameras": scene.cameras,
+            "asks": not is_own,
+        }  # its unit is known, whatever the baseline is
         return read_geometry(files, Reading(**(own | given)), size, rectified)
 
 

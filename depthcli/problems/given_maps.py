@@ -34,12 +34,12 @@ from depthcli.evaluation.map_files import (
 )
 from depthcli.io.formats.disparity import check_sign, read_foreign_map, scale_of
 from depthcli.io.formats.files import collected_warnings
-from depthcli.io.formats.images import image_size, png_bytes, read_image, write_drawn
+from depthcli.io.formats.images import png_bytes, read_image, write_drawn
 from depthcli.io.formats.networks import network_path, read_errors, read_network
 from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import GivenMap, MapsScene, Scene, StereoScene, check_same_size
 from depthcli.io.scenes.pairs import PAIRS
-from depthcli.io.stereo_pairs import load_pair
+from depthcli.io.stereo_pairs import load_pair, view_size
 from depthcli.methods.given_maps import MEASURES, Networks, judge, judge_by_one_view, peak_bytes
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
 from depthcli.methods.stereo.search_range import SearchRange, matched_range
@@ -192,7 +192,7 @@ class GivenMaps(Problem[MapsScene, MapInputs, ResultT]):
     def memory(self, scene: MapsScene) -> int | None:
         """Estimate by the left image's size; None where the maps give the range."""
         top = self.max_disparity(scene)
-        return None if top is None else peak_bytes(image_size(scene.left), top, len(scene.maps) + self.n_added)
+        return None if top is None else peak_bytes(view_size(scene), top, len(scene.maps) + self.n_added)
 
     def max_disparity(self, scene: MapsScene) -> int | None:
         """Return the largest disparity that the options or the scene give."""
@@ -530,7 +530,7 @@ class _Run:
         def fits(name: str, path: Path, tried: MapNaming) -> bool:
             with collected_warnings(), contextlib.suppress(DepthcliError):
                 scale = scale_of(path, tried.scale, tried.any_scale)
-                return read_foreign_map(path, scale, tried.invalid).shape == image_size(usable[name].left)
+                return read_foreign_map(path, scale, tried.invalid).shape == view_size(usable[name])
             return False
 
         usual = protocols.load("middlebury-v2")().files

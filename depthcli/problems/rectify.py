@@ -17,9 +17,9 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.io.formats.calibrations import write_geometry
 from depthcli.io.formats.files import collected_warnings, write_text
-from depthcli.io.formats.images import image_size, write_png
+from depthcli.io.formats.images import write_png
 from depthcli.io.scenes import StereoScene
-from depthcli.io.stereo_pairs import load_views
+from depthcli.io.stereo_pairs import load_views, view_size
 from depthcli.methods.stereo.rectification import RectifyingHomographies, rectify_uncalibrated
 from depthcli.methods.stereo.search_range import SearchRange, matched_range
 from depthcli.methods.stereo.view_matching import Points, match_views
@@ -71,7 +71,7 @@ class Rectify(SceneJob[StereoScene]):
         """Return None, since it is little more than the images; InputError where the calibration cannot be read."""
         if self.calibration is not None:
             with collected_warnings():  # which computing says
-                self.calibration.rig(image_size(scene.left)[::-1] if scene.frame_number is None else None)
+                self.calibration.rig(view_size(scene)[::-1] if scene.frame_number is None else None)
 
     def compute(self, scene: StereoScene, folder: Path, context: Context) -> Outcome:
         """Rectify the pair, and find its search range.

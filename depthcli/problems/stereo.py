@@ -25,10 +25,10 @@ from depthcli.core.method import RootConfig, parts_of
 from depthcli.core.text import show_bytes
 from depthcli.device import Device, DeviceError
 from depthcli.io.formats.files import collected_warnings
-from depthcli.io.formats.images import image_size, pair_of
+from depthcli.io.formats.images import pair_of
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.pairs import PAIRS
-from depthcli.io.stereo_pairs import load_pair
+from depthcli.io.stereo_pairs import load_pair, view_size
 from depthcli.methods.given_maps import bounds, peak_bytes
 from depthcli.methods.stereo.matching import Limits, TileMode, device_table, host_bytes, match
 from depthcli.methods.stereo.networks import Network, network_device, networks_in
@@ -249,7 +249,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
 
     def _bytes(self, scene: StereoScene) -> int:
         """Estimate the bytes of matching a pair over its range, or over the widest one where that is not known."""
-        height, width = image_size(scene.left)
+        height, width = view_size(scene)
         low, top = self.ends(scene)
         low = low if isinstance(low, int) and top is not None else 1 - width
         top = min(top, width - 1) if isinstance(top, int) else width - 1
@@ -265,7 +265,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         if calibration is None:
             clock.start("load")
             pair = load_pair(scene)
-            if scene.right is not None and scene.frame_number is None:
+            if scene.right is not None and scene.frame_number is None and not scene.halves:
                 context.originals = pair, (scene.left, scene.right)
             return PairInputs(pair, matcher, self.ends(scene), sequence)
         clock.start("rectify")

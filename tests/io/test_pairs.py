@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.images import write_png
@@ -166,6 +167,44 @@ def test_numbered_folders_of_two_lengths_are_warned_of(tmp_path: Path, rights: S
     frames = [scene for scene in discover_scenes(tmp_path, FRAMES) if not scene.problem]
     for scenes in (by_name, found, frames):
         assert sum(any("if one was dropped" in line for line in scene.warnings) for scene in scenes) == warned
+
+
+@pytest.mark.parametrize("halves", ["left-right", "top-bottom", "mpo"])
+def test_both_views_in_one_file(tmp_path: Path, halves: str, capsys: pytest.CaptureFixture[str]):
+    """As an image, as files of a folder, by --left alone: the map of the two files."""
+    noise = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 255, (40, 90, 3), np.uint8), (0, 0), 1.5) * 2
+    left, right = (np.ascontiguousarray(noise[:, k : k + 80]) for k in (0, 6))
+    end = "mpo" if halves == "mpo" else "png"
+    (tmp_path / "in").mkdir()
+    both = tmp_path / "in" / f"a.{end}"
+    if halves == "mpo":
+        one, other = map(Image.fromarray, (left, right))
+        one.save(both, "MPO", save_all=True, append_images=[other], quality=100, subsampling=0)
+        with Image.open(both) as file:
+            left = np.asarray(file.convert("RGB"))
+            file.seek(1)
+            right = np.asarray(file.convert("RGB"))
+    else:
+        write_png(both, np.concatenate([left, right], axis=1 if halves == "left-right" else 0))
+    write_png(tmp_path / "l.png", left)
+    write_png(tmp_path / "r.png", right)
+    how = [] if halves == "mpo" else ["--halves", halves]
+    line = ["stereo", "opencv-bm", "--max-disparity", "16", "-q"]
+    assert (
+        run(*line, "--left", tmp_path / "l.png", "--right", tmp_path / "r.png", "--name", "a", "-o", tmp_path / "o")
+        == 0
+    )
+    expected = (tmp_path / "o/a/disp_left.pfm").read_bytes()
+    assert run(*line, "--left", both, *how, "-o", tmp_path / "p") == 0
+    assert (tmp_path / "p/a/disp_left.pfm").read_bytes() == expected
+    if how:
+        assert run(*line, "--left", tmp_path / "in", *how, "-o", tmp_path / "q") == 0
+        assert (tmp_path / "q/a/disp_left.pfm").read_bytes() == expected
+        for wrong in (("--halves", "right-left"), ("--right", both, *how)):
+            assert run(*line, "--left", both, *wrong, "-o", tmp_path / "r") == 2
+        write_png(both, np.zeros((41, 81), np.uint8))
+        assert run(*line, "--left", both, *how, "-o", tmp_path / "r") == 3
+        assert "81 x 41 pixels cannot be two views" in capsys.readouterr().err
 
 
 def find(folder: Path) -> dict[str, StereoScene]:

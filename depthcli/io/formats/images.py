@@ -91,6 +91,25 @@ def _read(path: Path | str) -> tuple[Image, bytes]:
     return pixels, data
 
 
+def read_two_frames(path: Path | str) -> tuple[Image, Image]:
+    """Return the two images of an MPO file, as 3-D cameras write it: the left view first."""
+    data = read_bytes(path)
+    with naming(path), _decoding("Jpeg"):
+        from PIL import Image as Pillow
+
+        with Pillow.open(BytesIO(data)) as file:
+            count = int(getattr(file, "n_frames", 1))
+            if count < 2:
+                raise InputError("holds one image; an MPO file of two views, or --halves, is needed")
+            frames = []
+            for number in (0, 1):
+                file.seek(number)
+                frames.append(np.asarray(file.convert("RGB"), np.uint8))
+        if count > 2:
+            warn(f"{shown(path)}: holds {count} images; the first two are the views")
+    return frames[0], frames[1]
+
+
 def read_color8(path: Path | str) -> NDArray[np.uint8]:
     """Return any image as (H, W, 3) uint8 RGB; 16-bit ones by the bits that their samples have."""
     image, data = _read(path)

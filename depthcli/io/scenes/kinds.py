@@ -27,6 +27,9 @@ MAX_DISPARITY = 1 << 20
 LEFT_OUT = {"displacement": "transform", "transform": "displacement", "both": ""}
 """Which of a displacement field and a transform counts -> which does not; both: the field first, as in ANTs."""
 
+LEFT_RIGHT, TOP_BOTTOM, FRAMES = "left-right", "top-bottom", "frames"
+"""How one file holds both views: as halves, or as the two images of an MPO file."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
@@ -70,6 +73,8 @@ class StereoScene(Scene):
     left: Path  # image, or video
     right: Path | None = None
     frame_number: int | None = None  # of the videos' frames, from 0; None: ``left`` and ``right`` are images
+    # How ``left``, the same file as ``right``, holds both views: left-right, top-bottom or, of MPO, frames; "": one view.
+    halves: str = ""
     disparity_left: Path | None = None  # ground truth
     disparity_right: Path | None = None
     disparity_noc: Path | None = None  # the truth of the visible pixels alone (KITTI)
@@ -92,6 +97,11 @@ class StereoScene(Scene):
     sequence: tuple[StereoScene, ...] = ()
 
     roles: ClassVar[tuple[str, ...]] = ("left", "right")
+
+    @property
+    def input_files(self) -> dict[str, Path]:
+        """Role -> file that a method may look at; one file that holds both views is named so."""
+        return {f"both views, {self.halves}": self.left} if self.halves else super().input_files
 
     @property
     def is_first(self) -> bool:

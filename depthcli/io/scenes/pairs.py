@@ -26,7 +26,7 @@ from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.plain_text import json_object, key_values, numbers, table_rows, text_of
 from depthcli.io.formats.videos import VIDEO_SUFFIXES, frames_and_rate
-from depthcli.io.scenes.kinds import MAX_DISPARITY, Scene, StereoScene
+from depthcli.io.scenes.kinds import FRAMES, LEFT_RIGHT, MAX_DISPARITY, TOP_BOTTOM, Scene, StereoScene
 from depthcli.io.scenes.rows import (
     Folder,
     Found,
@@ -423,6 +423,13 @@ _NAMED = LayoutRow(
 def named_pairs(values: Mapping[str, Any]) -> list[Scene]:
     """Return the pairs of the options ``left`` and ``right``: of two images, patterns, folders or videos."""
     left, right = values.get("left"), values.get("right")
+    halves = values.get("halves")
+    if halves is not None and halves not in (LEFT_RIGHT, TOP_BOTTOM):
+        raise ConfigError(f"--halves: must be {LEFT_RIGHT} or {TOP_BOTTOM} (got {halves[:40]!r})")
+    if halves is not None and (left is None or right is not None):
+        raise ConfigError("--halves goes with --left alone, whose files hold both views")
+    if left is not None and right is None and (halves or left.suffix.lower() == ".mpo"):
+        return _both_in_one(left, halves or FRAMES)
     if left is None and right is None:
         return []
     if left is None or right is None:
@@ -453,6 +460,28 @@ def named_pairs(values: Mapping[str, Any]) -> list[Scene]:
         replace(one, name=f"{number:0{digits}}", frame_number=number, warnings=warnings)
         for number in range(min(count, other))
     ]
+
+
+def _both_in_one(path: Path, halves: str) -> list[Scene]:
+    """Return the pairs of files that hold both views: of an image, a video, a pattern or a folder."""
+    if _is_many(path):
+        name = str(path / "*" if os.path.isdir(path) else path)
+        files = [match.file for match in matches(Folder(Path(), "", ""), "left", name, wild=True)]
+        if not files:
+            raise ConfigError(f"{path}: matches no image")
+        names = [file.stem for file in files]
+        if len(set(names)) < len(names):
+            names = ["_".join(file.with_suffix("").parts[-2:]) for file in files]
+        return [_named(name, file, file, halves=halves) for name, file in zip(names, files, strict=True)]
+    one = _named(name_of_file(path, *_GENERIC_NAMES), path, path, halves=halves)
+    if path.suffix.lower() not in VIDEO_SUFFIXES:
+        return [one]
+    try:
+        count, _ = frames_and_rate(path)
+    except InputError as error:
+        raise ConfigError(str(error)) from None
+    digits = max(6, len(str(count)))
+    return [replace(one, name=f"{number:0{digits}}", frame_number=number) for number in range(count)]
 
 
 def _named(name: str, left: Path, right: Path, **values: Any) -> StereoScene:
