@@ -73,7 +73,7 @@ class StereoScene(Scene):
     left: Path  # image, or video
     right: Path | None = None
     frame_number: int | None = None  # of the videos' frames, from 0; None: ``left`` and ``right`` are images
-    # How ``left``, the same file as ``right``, holds both views: left-right, top-bottom or, of MPO, frames; "": one view.
+    # How ``left``, the same file as ``right``, holds both views: left-right, top-bottom or, of MPO, frames; "": one.
     halves: str = ""
     disparity_left: Path | None = None  # ground truth
     disparity_right: Path | None = None
