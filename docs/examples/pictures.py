@@ -108,6 +108,8 @@ def error_legend(figure: Any) -> None:
     patches = [
         Patch(facecolor=colors[color], edgecolor="black", linewidth=0.4, label=name) for name, color in names.items()
     ]
+    width, height = figure.get_size_inches()
+    figure.set_size_inches(width, height + 0.3)
     figure.legend(handles=patches, loc="outside lower center", ncols=len(patches), fontsize=7, frameon=False)
 
 
