@@ -15,6 +15,9 @@ from depthcli.core.cameras.kinect import KinectCalibration
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.errors import InputError
+from depthcli.evaluation.protocols import Settings
+from depthcli.evaluation.protocols.depth import DepthProtocol
+from depthcli.evaluation.protocols.eth3d import Eth3dProtocol
 from depthcli.io.formats.depth import write_depth_png
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import collected_warnings
@@ -29,6 +32,7 @@ from depthcli.io.rgbd_frames import (
 from depthcli.io.scenes import RgbdScene, RgbIrScene, SequenceScene, sequences
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.frames import FRAMES
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.problems.inputs import load_config
 from depthcli.problems.kinect import RefineKinect
 from depthcli.problems.transparent import Transparent
@@ -564,3 +568,17 @@ def test_truth_is_read_by_the_scale_of_the_run(tmp_path: Path):
         )
         (one,) = problem.ready(config).truth_scenes([scene])
         assert (one.depth_scale, one.scale_floats) == (4000, True)
+
+
+def test_a_mark_that_is_given_holds_for_true_depth_and_disparity(tmp_path: Path):
+    write(tmp_path / "a", depth_scale=2000)
+    write_png(tmp_path / "a" / "depth_true.png", np.where(DEPTH == 0, 7000, DEPTH).astype(np.uint16))
+    (scene,) = find(tmp_path)
+    assert np.isnan(DepthProtocol(Settings(invalid=7000.0)).truth(scene).depth[0]).all()
+    assert (DepthProtocol().truth(scene).depth[0] == 3.5).all()
+    for name in ("left", "right"):
+        write_png(tmp_path / "s" / f"{name}.png", COLOR)
+    write_pfm(tmp_path / "s" / "disp_left.pfm", np.where(DEPTH == 0, 7, 3).astype(np.float32))
+    (pair,) = discover_scenes(tmp_path / "s", PAIRS)
+    assert np.isnan(Eth3dProtocol(Settings(invalid=7.0)).truth(pair).values[0]).all()
+    assert (Eth3dProtocol().truth(pair).values[0] == 7).all()
