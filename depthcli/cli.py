@@ -124,9 +124,11 @@ def main(arguments: list[str] | None = None) -> int:
         _print_error(f"depthcli: {error}" if "\n" not in str(error) else str(error))
         return 2
     except Terminated:
+        logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # it tells of every download that is left
         _print_error("depthcli: terminated; the same command goes on where it stopped")
         return 143
     except (KeyboardInterrupt, typer.Abort):
+        logging.getLogger("asyncio").setLevel(logging.CRITICAL)
         _print_error("depthcli: interrupted; the same command goes on where it stopped")
         return 130
     except BaseException as error:

@@ -10,10 +10,11 @@ import subprocess
 import sys
 import tarfile
 import threading
+import time
 import zipfile
 from collections.abc import Callable, Iterator
 from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from depthcli.io.formats.images import write_png
 from depthcli.io.scenes import places
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.io.scenes.places import local, origin
-from tests.command_line import contents, refused
+from tests.command_line import contents, refused, start
 
 
 @pytest.fixture(autouse=True)
@@ -280,3 +281,46 @@ def test_urls_without_the_extra(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert main(["stereo", "fast", "-i", "https://127.0.0.1/x.zip", "-o", os.devnull]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "https://127.0.0.1/x.zip: " in line and "pip install 'depthcli[remote]'" in line
+
+
+class _Stalled(BaseHTTPRequestHandler):
+    """Sends the first bytes of a file, then nothing."""
+
+    def do_HEAD(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Length", "5000000")
+        self.end_headers()
+
+    def do_GET(self) -> None:
+        self.do_HEAD()
+        self.wfile.write(b"x" * 1000)
+        self.wfile.flush()
+        time.sleep(20)
+
+    def log_message(self, *arguments: object) -> None:
+        """Say nothing."""
+
+
+@pytest.mark.system
+def test_a_download_that_is_ended_says_so_in_a_line_and_leaves_nothing(tmp_path: Path, cache: Path) -> None:
+    pytest.importorskip("aiohttp")
+    server = ThreadingHTTPServer(("127.0.0.1", 0), _Stalled)
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    url = f"http://127.0.0.1:{server.server_port}/a.zip"
+    process = start("stereo", "opencv-bm", "-i", url, "-o", tmp_path / "o")
+    try:
+        end = time.monotonic() + 120
+        while not list(cache.glob(".*")):
+            assert process.poll() is None and time.monotonic() < end
+            time.sleep(0.1)
+        time.sleep(1)
+        process.terminate()
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        server.shutdown()
+        server.server_close()
+    assert (process.returncode, out) == (143, "")
+    assert err.splitlines() == ["depthcli: terminated; the same command goes on where it stopped"]
+    assert not list(cache.glob("*")) and not list(cache.glob(".*"))
