@@ -8,22 +8,25 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import functools
+import inspect
 import logging
 import os
 import shlex
 import signal
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import MISSING, fields, is_dataclass
 from itertools import pairwise
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias, get_type_hints
 
 import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
 from depthcli import __version__, commands
-from depthcli.commands._shared_options import PluginOption, with_groups
 from depthcli.core.errors import SOME_FAILED, ConfigError, DepthcliError, IncompleteError, Terminated, shortage
 from depthcli.core.plugins import load_plugin, plugin_behind
 from depthcli.run.console import Reporter, silence_warnings
@@ -39,6 +42,15 @@ _SETTINGS: dict[str, Any] = {
     "pretty_exceptions_enable": False,
     "context_settings": {"help_option_names": ["-h", "--help"], "max_content_width": 80},
 }
+
+
+PluginOption: TypeAlias = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="PLUGIN", help="FILE.py or module, with methods, layouts or commands of your own; repeatable."
+    ),
+]
+"""Loaded before all else, since it may define the command itself."""
 
 
 class _Commands(TyperGroup):
@@ -67,13 +79,47 @@ def command_of(name: str) -> Any:
         return None
     app = typer.Typer(add_completion=False, **_SETTINGS)
     text = commands.text_of(found).replace("\nExamples:\n", "\n\b\nExamples:\n")  # \b: these lines are not wrapped
-    callback = with_groups(found)
+    callback = _with_groups(found)
     if "_DEPTHCLI_COMPLETE" in os.environ:  # a shell asks what may come next
         from depthcli.commands._completion import complete_values
 
         complete_values(callback)
     app.command(name.replace("_", "-"), help=text)(callback)
     return get_command(app)
+
+
+def _with_groups(function: Callable[..., int]) -> Callable[..., int]:
+    """Return a command's function with the signature that typer reads: fields of groups are options of their own."""
+    groups: dict[str, tuple[type, list[str]]] = {}
+    make = functools.partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
+    parameters = [make("plugin", default=None, annotation=PluginOption), make("context", annotation=typer.Context)]
+    hints = get_type_hints(function, include_extras=True)
+    for name, parameter in inspect.signature(function).parameters.items():
+        kind = hints[name]
+        if not is_dataclass(kind):
+            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kind))
+            continue
+        types, own = get_type_hints(kind, include_extras=True), []
+        for each in fields(kind):
+            described = each.metadata.get("option")
+            annotation = types[each.name] if described is None else Annotated[types[each.name], described]
+            if hasattr(annotation, "__metadata__"):
+                default = inspect.Parameter.empty if each.default is MISSING else each.default
+                parameters.append(make(each.name, default=default, annotation=annotation))
+                own.append(each.name)
+        groups[name] = kind, own  # type: ignore[assignment]
+
+    @functools.wraps(function)
+    def callback(context: typer.Context, **values: Any) -> int:
+        values.pop("plugin")
+        for name, (kind, names) in groups.items():
+            line = {"command_line": context.obj or ""} if hasattr(kind, "command_line") else {}
+            values[name] = kind(**{each: values.pop(each) for each in names}, **line)
+        return function(**values)
+
+    callback.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    callback.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return callback
 
 
 app = typer.Typer(

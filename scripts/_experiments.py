@@ -12,11 +12,10 @@ import numpy as np
 import yaml
 
 from depthcli.commands import config_model
-from depthcli.core.config_file import load_config
+from depthcli.core.config_file import find_config, load_config
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.problems.fusion import Fuse
-from depthcli.run.presets import find_config
 from depthcli.show.table import Table
 
 THESIS = yaml.safe_load((_env.ROOT / "scripts" / "thesis.yaml").read_text("utf-8"))

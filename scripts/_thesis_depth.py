@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.color_and_infrared import RgbIrFrame
+from depthcli.core.context import Clock
 from depthcli.core.frames import RgbdFrame, SparseFrame, StereoPair, color8
-from depthcli.core.result import Clock
 from depthcli.io.formats.images import read_image
 from depthcli.io.rgbd_frames import load_frame, true_depth
 from depthcli.io.scenes.find import discover_scenes

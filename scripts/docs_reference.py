@@ -23,6 +23,7 @@ import depthcli
 from depthcli import testing
 from depthcli.cli import command_of
 from depthcli.commands import config_model, grouped_names, help_of
+from depthcli.core.config_file import find_config, list_presets
 from depthcli.core.errors import EXIT_CODES
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP, VOLUME_STATUS_HELP
 from depthcli.core.method import Family
@@ -38,7 +39,6 @@ from depthcli.methods.registration.search import MEASURES
 from depthcli.problems import PROBLEMS
 from depthcli.report import terms
 from depthcli.run.folder import LEGEND_FILE
-from depthcli.run.presets import find_config, list_presets
 from depthcli.run.records import REPORT_FILES
 
 METHOD_PACKAGES = [

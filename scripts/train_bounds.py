@@ -18,8 +18,8 @@ from _experiments import generated_scenes, kept, matcher, real_scenes, show
 from _training import Arrays, held, some_pixels, table, write
 from train_choice import Loaded, generated
 
+from depthcli.core.context import Clock
 from depthcli.core.maps import Status
-from depthcli.core.result import Clock
 from depthcli.io.stereo_pairs import load_pair, true_disparity
 from depthcli.methods.given_maps import FILLED_DOUBT, judged_maps, odds_of, odds_within
 from depthcli.methods.given_maps._planes import ONE_VIEW, Evidence

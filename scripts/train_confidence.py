@@ -30,9 +30,9 @@ from depthcli.algorithms.pixel_network import TrainedNetwork
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import RegionPixels
 from depthcli.algorithms.segmentation.felzenszwalb import Felzenszwalb
+from depthcli.core.context import Clock
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
-from depthcli.core.result import Clock
 from depthcli.io.formats.networks import write_network
 from depthcli.methods.given_maps import HIDDEN, RIGHT_NAMES, THRESHOLDS, Judged, judged_maps, without_gaps
 from depthcli.methods.given_maps._planes import ALONE, INPUTS, ONE_VIEW, OTHERS, Evidence

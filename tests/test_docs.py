@@ -17,7 +17,7 @@ import pytest
 import depthcli
 from depthcli.cli import command_of
 from depthcli.commands import config_model, own_names
-from depthcli.core.config_file import dump_config, load_config
+from depthcli.core.config_file import dump_config, find_config, list_presets, load_config
 from depthcli.core.errors import EXIT_CODES
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
@@ -25,7 +25,6 @@ from depthcli.evaluation import protocols
 from depthcli.io.formats.map_format import map_formats
 from depthcli.io.scenes.find import ALL_KINDS
 from depthcli.methods.registration.search import MEASURES
-from depthcli.run.presets import find_config, list_presets
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.core.registry import registries, registry_of
+from depthcli.core.plugins import registries, registry_of
 from depthcli.io.formats.images import write_png
 from depthcli.testing.inputs import shifted_pair
 

@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ import pytest
 import depthcli
 from depthcli.cli import main
 from depthcli.commands import config_model
-from depthcli.core.config_file import dump_config, load_config
+from depthcli.core.config_file import PRESET_FOLDER, dump_config, find_config, find_preset, list_presets, load_config
 from depthcli.core.yaml_source import parse_config
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import read_image
@@ -23,7 +22,6 @@ from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.kernels.jit import set_threads
-from depthcli.run.presets import PRESET_FOLDER, find_config, find_preset, list_presets
 from tests.command_line import contents
 
 PRESETS = [(command, name) for command, name, _ in list_presets()]
@@ -189,7 +187,7 @@ def test_the_map_that_fuse_accurate_begins_with_is_that_of_stereo_accurate(made_
     def loaded(command: str) -> Any:
         model = config_model(command)
         assert model is not None
-        return load_config(model, find_config(command, "accurate"), (), partial(find_preset, command))
+        return load_config(model, find_config(command, "accurate"))
 
     fusion, alone = loaded("fuse"), loaded("stereo").pipeline
     assert fusion.refinement == alone.refinement

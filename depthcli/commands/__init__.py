@@ -1,7 +1,7 @@
 """The sub-commands, one file each; the only place where files meet algorithms.
 
 A public module here is a command: it defines a function of its own name, whose parameters typer reads as arguments and
-options (``_shared_options``, ``_options``), and the module's docstring is its help. The function returns the exit code.
+options (``_options``), and the module's docstring is its help. The function returns the exit code.
 Nothing heavy is imported before it runs: each imports the module that does the work where it needs it.
 
 A command that makes a run folder gives its options to ``run_problem`` (``_run``), which takes the problem from

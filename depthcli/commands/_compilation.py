@@ -12,11 +12,11 @@ from concurrent.futures import ThreadPoolExecutor
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+from depthcli.core.config_file import list_presets
 from depthcli.core.errors import ConfigError
 from depthcli.core.text import show_bytes
 from depthcli.kernels.cache import cache_folder
 from depthcli.run.console import Reporter
-from depthcli.run.presets import list_presets
 
 _SCENES = {"refine-kinect": ["--kinect"], "transparent": ["--transparent"], "register-confidence": ["--registration"]}
 _BOUNDED = ("stereo", "fuse")

@@ -9,11 +9,10 @@ from typing import Any
 from typer import Context
 
 from depthcli.commands import config_model
-from depthcli.core.config_file import load_config
+from depthcli.core.config_file import find_config, list_presets, load_config
 from depthcli.core.method import RootConfig
 from depthcli.evaluation import protocols as known_protocols
 from depthcli.io.scenes.find import ALL_KINDS
-from depthcli.run.presets import find_config, find_preset, list_presets
 
 
 def complete_values(callback: Callable[..., int]) -> None:
@@ -56,8 +55,7 @@ def keys(context: Context) -> list[str]:
     if model is None or not issubclass(model, RootConfig):
         return []
     named = context.params["config"] or context.args[0]  # the latter before an option that has no value yet
-    file = find_config(command, named)
-    config = load_config(model, file, find=lambda name: find_preset(command, name))
+    config = load_config(model, find_config(command, named))
     return [f"{key}=" for key in _keys(config.model_dump(mode="json", by_alias=True))]
 
 

@@ -1,36 +1,120 @@
-"""Groups of options of the commands that run over scenes: which scenes, how they are computed, which files are kept."""
+"""Options, alone and in groups, as typer reads them from the types of parameters.
+
+A command takes single options (``set: SetOption = None``) and groups of them (``run: RunOptions``), dataclasses whose
+fields become options of their own.
+"""
 
 from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, TypeAlias
 
-from typer import Argument, Option
+from typer import Argument, BadParameter, Option
 
-from depthcli.commands._shared_options import (
-    FailFlaggedOption,
-    FlagOption,
-    HtmlOption,
-    InputOption,
-    LayoutOption,
-    MaxDisparityOption,
-    Printing,
-    ScenesOption,
-    local_output,
-    option,
-    parse_bytes,
-)
 from depthcli.core.errors import ConfigError
+from depthcli.run.console import Reporter
 from depthcli.run.flags import Condition, conditions_of
 from depthcli.run.job import Execution, shard_of
 
 NOWHERE = Path(os.devnull, "no output")
 """In place of a run folder where nothing is computed and none is given."""
 _MAX_JOBS = 512
+_URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # pathlib leaves one slash
+_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
+
+
+# A name is given where typer would make another one of the parameter's: flags get no "--no-..." by it.
+ConfigArgument: TypeAlias = Annotated[
+    str,
+    Argument(metavar="CONFIG", help="YAML file, or the name of a preset."),
+]
+InputOption: TypeAlias = Annotated[
+    Path | None,
+    Option("--input", "-i", metavar="DIR", help="Folder, archive or URL; or CSV of stereo pairs (-: stdin)."),
+]
+LayoutOption: TypeAlias = Annotated[
+    str | None,
+    Option(metavar="NAME", help="Layout of the folder. Default: recognized."),
+]
+ScenesOption: TypeAlias = Annotated[
+    list[str] | None, Option(metavar="GLOB", help="Only scenes whose name matches; repeatable.")
+]
+SetOption: TypeAlias = Annotated[
+    list[str] | None,
+    Option(metavar="KEY=VALUE", help="Override one key of the config; repeatable."),
+]
+MaxDisparityOption: TypeAlias = Annotated[
+    str | None, Option(metavar="N", help="Largest disparity searched, or auto: from the pair.")
+]
+WithinOption: TypeAlias = Annotated[
+    float, Option(metavar="PX", min=0.25, max=8, help="Error up to which a value is right in probability.pfm, pixels.")
+]
+LevelOption: TypeAlias = Annotated[
+    float, Option(metavar="P", min=0.5, max=0.99, help="Share of the errors that are not larger than bound.pfm.")
+]
+BoundOption: TypeAlias = Annotated[
+    bool, Option("--bound", help="Also write bound.pfm, which 90 % of the errors do not exceed, and probability.pfm.")
+]
+HtmlOption: TypeAlias = Annotated[bool, Option("--html", help="Also write evaluation/report.html.")]
+FlagOption: TypeAlias = Annotated[
+    list[str] | None, Option(metavar="CONDITION", help="Flag rows, such as 'measured<0.6'; repeatable, any of them.")
+]
+FailFlaggedOption: TypeAlias = Annotated[bool, Option("--fail-flagged", help="Exit with 4 where a row is flagged.")]
+
+
+def option(default: Any, *names: str, **settings: Any) -> Any:
+    """Return a field of a group that is an option of its own, described as by ``typer.Option``."""
+    return field(default=default, metadata={"option": Option(*names, **settings)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Printing:
+    """Options of the output on the terminal."""
+
+    json: bool = option(False, "--json", help="Print one JSON document instead of a table.")
+    verbose: bool = option(False, "--verbose", "-v", help="Print details on stderr.")
+    quiet: bool = option(False, "--quiet", "-q", help="Print only errors, and no table.")
+    command_line: str = ""  # of this call, as a shell takes it
+
+    @cached_property
+    def reporter(self) -> Reporter:
+        """What takes messages and data."""
+        return Reporter(-1 if self.quiet else int(self.verbose), self.command_line)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableOptions:
+    """Which tables of an evaluation are printed, and how."""
+
+    tables: str | None = option(
+        None, metavar="NAMES", help="Tables to print: all, or metrics,scenes-nonocc ... or headline."
+    )
+    format: str | None = option(None, metavar="FORMAT", help="Print wide tables: latex, markdown or csv.")
+    columns: str | None = option(None, metavar="NAMES", help="Of the tables, print only these columns.")
+    caption: str | None = option(None, metavar="TEXT", help="Caption of the one table that --tables chooses.")
+
+
+def local_output(output: Path | None) -> Path | None:
+    """Return the value of ``--output``; typer.BadParameter where it names no place on this machine."""
+    if output is not None and _URL.match(str(output)) and not os.path.lexists(output.parts[0]):
+        raise BadParameter("results are written to this machine, not to URLs; give a folder")
+    if str(output) == "-":
+        raise BadParameter("results are files, nothing that can be written to stdout; see --json")
+    return output
+
+
+def parse_bytes(text: str, option: str = "--max-memory") -> int:
+    """Return ``2GiB``, ``500M`` or ``1e9`` in bytes; ConfigError for any other text."""
+    match = re.fullmatch(r"\s*(\d{1,18}(?:\.\d{0,9})?(?:[eE]\d{1,2})?)\s*([kmgt]i?|)b?\s*", text, re.IGNORECASE)
+    size = int(float(match[1]) * _UNITS[match[2].lower()]) if match else 0
+    if size < 1:
+        raise ConfigError(f"{option}: must be a size such as 2GiB or 500M (got {text[:40]!r})")
+    return size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,11 +128,6 @@ class SceneOptions:
     name: str | None = option(None, metavar="NAME", help="Name of a single scene. Default: from its file.")
     layout: LayoutOption = None
     scenes: ScenesOption = None
-
-    @property
-    def patterns(self) -> list[str]:
-        """The shell patterns of ``--scenes``, or the one that every name matches."""
-        return self.scenes or ["*"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,7 +300,7 @@ class RunOptions(Printing):
             overwrite=self.overwrite,
             shard=shard_of(self.shard, os.environ),
             fail_fast=self.fail_fast,
-            keep=tuple(name.strip() for name in (self.keep or "").split(",") if name.strip()),
+            keep=tuple(filter(None, map(str.strip, (self.keep or "").split(",")))),
             scheduler=self.scheduler,
         )
 

@@ -16,9 +16,9 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from depthcli.commands._options import BoardOptions
-from depthcli.commands._shared_options import Printing, local_output
+from depthcli.commands._options import BoardOptions, Printing, local_output
 from depthcli.core.errors import SOME_FAILED
+from depthcli.show.table import to_json
 
 
 def calibrate(
@@ -42,7 +42,6 @@ def calibrate(
 ) -> int:
     """Calibrate the cameras that took the photos; return the exit code, 3 where a photo could not be read."""
     from depthcli.problems.boards import board_of, calibrate_cameras, print_summary, table_of
-    from depthcli.run.json_csv import to_json
 
     reporter = printing.reporter
     calibrated = calibrate_cameras(photos, board_of(**vars(board)), output, fisheye, overwrite, reporter)

@@ -16,8 +16,14 @@ from typing import Annotated, Any
 
 from typer import Option
 
-from depthcli.commands._options import CodingOptions, PairOptions, ScoredRunOptions
-from depthcli.commands._shared_options import LevelOption, MaxDisparityOption, WithinOption
+from depthcli.commands._options import (
+    CodingOptions,
+    LevelOption,
+    MaxDisparityOption,
+    PairOptions,
+    ScoredRunOptions,
+    WithinOption,
+)
 from depthcli.core.errors import ConfigError
 
 

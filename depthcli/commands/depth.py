@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from depthcli.commands._options import CloudOptions, MapOptions, RunOptions
-from depthcli.commands._shared_options import HtmlOption
+from depthcli.commands._options import CloudOptions, HtmlOption, MapOptions, RunOptions
+from depthcli.core.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,6 @@ class DepthRunOptions(RunOptions):
 def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     """Turn every map of the run into depth; return the exit code."""
     from depthcli.commands._run import run_job
-    from depthcli.core.errors import ConfigError
     from depthcli.io.scenes.find import scenes_at
     from depthcli.io.scenes.pairs import PAIRS
     from depthcli.io.scenes.places import local

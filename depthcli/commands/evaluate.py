@@ -17,7 +17,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from depthcli.commands._shared_options import (
+from depthcli.commands._options import (
     FailFlaggedOption,
     FlagOption,
     LayoutOption,
@@ -28,7 +28,7 @@ from depthcli.commands._shared_options import (
 )
 from depthcli.core.errors import ConfigError
 from depthcli.run.flags import conditions_of
-from depthcli.run.json_csv import to_json
+from depthcli.show.table import to_json
 
 
 def evaluate(
@@ -74,7 +74,7 @@ def evaluate(
     ] = "50MB",
 ) -> int:
     """Evaluate, print the tables, and return the exit code."""
-    from depthcli.commands._run import check_tables, print_place, print_tables, viewers
+    from depthcli.commands._scores import check_tables, print_place, print_tables, viewers
     from depthcli.evaluation.evaluate import Choices, evaluate_runs
     from depthcli.evaluation.map_files import MapNaming, find_runs, given_naming
     from depthcli.evaluation.protocols import Settings, load

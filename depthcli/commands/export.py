@@ -18,15 +18,15 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from depthcli.commands._shared_options import Printing, local_output
+from depthcli.commands._options import Printing, local_output
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.evaluation.benchmarks import Benchmark, Entry, Submission, benchmark
 from depthcli.evaluation.protocols import load
 from depthcli.io.formats.disparity import read_disparity
 from depthcli.io.formats.files import atomic_path, collected_warnings, remove_temporaries
 from depthcli.io.formats.images import image_size
-from depthcli.run.json_csv import to_json
 from depthcli.run.records import read_report
+from depthcli.show.table import to_json
 
 _MAX_NAMED = 12  # scenes that one message names, which keeps it within a few lines
 
@@ -56,8 +56,7 @@ def export(
     entries, problems = _find_maps(run, bench, splits, seconds)
     sizes: dict[str, tuple[int, int]] = {}
     submission = Submission(method, sparse, sizes)
-    with reporter:
-        reporter.start(len(entries), 0, "check")
+    with reporter.counting(len(entries), 0, "check"):
         for entry in entries:
             try:
                 with collected_warnings() as lines:

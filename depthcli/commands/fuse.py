@@ -16,8 +16,16 @@ from typing import Annotated, Any
 
 from typer import Option
 
-from depthcli.commands._options import CodingOptions, RangeOptions, ScoredRunOptions
-from depthcli.commands._shared_options import BoundOption, ConfigArgument, LevelOption, SetOption, WithinOption
+from depthcli.commands._options import (
+    BoundOption,
+    CodingOptions,
+    ConfigArgument,
+    LevelOption,
+    RangeOptions,
+    ScoredRunOptions,
+    SetOption,
+    WithinOption,
+)
 from depthcli.core.errors import ConfigError
 
 

@@ -11,17 +11,22 @@ Examples:
 
 from __future__ import annotations
 
+import itertools
+import textwrap
+from collections.abc import Sequence
 from typing import Annotated
 
+from pydantic import BaseModel
 from typer import Argument
 
 from depthcli.commands import config_model
-from depthcli.commands._shared_options import Printing
-from depthcli.core.config_file import load_config
+from depthcli.commands._options import Printing
+from depthcli.core.config_file import THESIS, list_presets, load_config
+from depthcli.core.config_file import presets as all_presets
 from depthcli.core.errors import ConfigError
-from depthcli.run.json_csv import to_json
-from depthcli.run.presets import THESIS, describe, find_preset, leading_comment, list_presets
-from depthcli.run.presets import presets as all_presets
+from depthcli.core.method import Method
+from depthcli.core.yaml_source import to_yaml
+from depthcli.show.table import to_json
 
 
 def presets(
@@ -80,8 +85,57 @@ def _shown(name: str) -> str:
     model = config_model(preset.command)
     if model is None:
         raise ConfigError(f"{preset.file}: no command called {preset.command!r} that has configs")
-    title = [leading_comment(preset.file.read_text("utf-8", "replace"))]
+    comment = itertools.takewhile(
+        lambda line: line.startswith("#"), preset.file.read_text("utf-8", "replace").splitlines()
+    )
+    title = [line.removeprefix("#").strip() for line in comment]
     use = f"depthcli {preset.command} {preset.name} ..."
     title.append(f"Use it as it is: {use}; or save, change and name this text as a file.")
-    config = load_config(model, preset.file, find=lambda base: find_preset(preset.command, base))
-    return describe(config, "\n".join(title))
+    return _described(load_config(model, preset.file), title)
+
+
+def _described(config: BaseModel, title: Sequence[str]) -> str:
+    """Return a resolved config as YAML with every field, its description above it, and the title as first comment."""
+    flat: str = getattr(config, "flattened", "")
+    method = getattr(config, flat) if flat else None
+    lines = [*_method_lines(method), *_field_lines(config, flat, gap=[""])]
+    lines += _field_lines(method, gap=[""]) if isinstance(method, BaseModel) else []
+    return "".join(f"# {line}\n" for line in title) + "\n" + "\n".join(lines).strip() + "\n"
+
+
+def _method_lines(method: object) -> list[str]:
+    """Return the line that names a method, under the first paragraph of its docstring; nothing for other values."""
+    if not isinstance(method, Method):
+        return []
+    key, name = next(iter(method.model_dump(mode="json").items()))
+    return [*_comment((method.__doc__ or "").strip().split("\n\n")[0]), f"{key}: {name}"]
+
+
+def _field_lines(model: BaseModel, flat: str = "", gap: Sequence[str] = ()) -> list[str]:
+    """Return the fields of a model but ``flat``, each under its description, with ``gap`` before it."""
+    lines: list[str] = []
+    # What every config has comes first in the model and last in the text.
+    for name, info in sorted(type(model).model_fields.items(), key=lambda field: field[0] == "plugins"):
+        if name == flat or info.exclude:
+            continue
+        key, value = info.alias or name, getattr(model, name)
+        elements = list(value) if isinstance(value, list | tuple) else []
+        lines += [*gap, *_comment(info.description or "")]
+        if isinstance(value, BaseModel):
+            lines += [f"{key}:", *(f"  {line}" for line in _method_lines(value) + _field_lines(value))]
+        elif any(isinstance(element, BaseModel) for element in elements):
+            lines.append(f"{key}:")
+            for element in elements:
+                inside = [str(element)]
+                if isinstance(element, BaseModel):
+                    inside = _method_lines(element) + _field_lines(element)
+                # Comments come before the dash, so that the element starts with its first key.
+                first = next(k for k, line in enumerate(inside) if not line.startswith("#"))
+                lines += [*inside[:first], f"- {inside[first]}", *(f"  {line}" for line in inside[first + 1 :])]
+        else:
+            lines += to_yaml({key: elements if isinstance(value, tuple) else value}).splitlines()
+    return lines
+
+
+def _comment(text: str) -> list[str]:
+    return textwrap.wrap(" ".join(text.split()), 100, initial_indent="# ", subsequent_indent="# ")

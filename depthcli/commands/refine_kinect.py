@@ -12,8 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
-from depthcli.commands._options import DepthOptions, FrameOptions, ScoredRunOptions, camera_of
-from depthcli.commands._shared_options import ConfigArgument, SetOption
+from depthcli.commands._options import (
+    ConfigArgument,
+    DepthOptions,
+    FrameOptions,
+    ScoredRunOptions,
+    SetOption,
+    camera_of,
+)
 
 if TYPE_CHECKING:
     from depthcli.io.scenes import RgbdScene

@@ -13,8 +13,7 @@ from typing import Annotated, Any, ClassVar
 
 from typer import Option
 
-from depthcli.commands._options import SceneOptions, ScoredRunOptions
-from depthcli.commands._shared_options import ConfigArgument, SetOption, option
+from depthcli.commands._options import ConfigArgument, SceneOptions, ScoredRunOptions, SetOption, option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,8 +13,15 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from depthcli.commands._options import RangeOptions, ScoredRunOptions
-from depthcli.commands._shared_options import BoundOption, ConfigArgument, LevelOption, SetOption, WithinOption
+from depthcli.commands._options import (
+    BoundOption,
+    ConfigArgument,
+    LevelOption,
+    RangeOptions,
+    ScoredRunOptions,
+    SetOption,
+    WithinOption,
+)
 from depthcli.run.console import Reporter
 from depthcli.show.table import aligned
 

@@ -16,10 +16,18 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from typer import Option
 
-from depthcli.commands._options import RunOptions, SceneOptions
-from depthcli.commands._shared_options import ConfigArgument, HtmlOption, LayoutOption, ScenesOption, SetOption
+from depthcli.commands._options import (
+    ConfigArgument,
+    HtmlOption,
+    LayoutOption,
+    RunOptions,
+    SceneOptions,
+    ScenesOption,
+    SetOption,
+)
 from depthcli.core.errors import SOME_FAILED, ConfigError
 from depthcli.problems import PROBLEMS
+from depthcli.show.table import aligned, to_csv, to_json
 
 if TYPE_CHECKING:
     from depthcli.evaluation.sweeps import Axes, Combination
@@ -53,15 +61,14 @@ def sweep(
     ] = "50MB",
 ) -> int:
     """Run every combination, evaluate all runs, and print the runs by their figure and the effect of every key."""
-    from depthcli.commands._run import print_place, run_job, viewers
+    from depthcli.commands._run import run_job
+    from depthcli.commands._scores import print_place, viewers
     from depthcli.evaluation.evaluate import Choices, evaluate_runs
     from depthcli.evaluation.sweeps import combinations, compared, parse_axes, text_of
     from depthcli.io.formats.files import write_text
     from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
     from depthcli.io.scenes.places import local
     from depthcli.run.folder import FolderLock
-    from depthcli.run.json_csv import to_json
-    from depthcli.show.table import to_csv
 
     source, axes = (
         SceneOptions(input=input, layout=layout, scenes=scenes),
@@ -86,7 +93,7 @@ def sweep(
         reporter.info("the process that ends last compares the runs")
         return SOME_FAILED if failed else 0
     truth = local(input)
-    all_scenes = discover_scenes(truth, ALL_KINDS, layout, source.patterns)
+    all_scenes = discover_scenes(truth, ALL_KINDS, layout, scenes or ["*"])
     if not any(scene.has_truth for scene in all_scenes):
         reporter.info(f"{input}: no ground truth there, the runs are not compared")
         return SOME_FAILED if failed else 0
@@ -110,12 +117,11 @@ def sweep(
 
 def _with_keys(command: str, config: str, axes: Axes) -> dict[str, Sequence[str]]:
     """Return the axes with keys in place of the symbols that a config gives them."""
-    from depthcli.core.config_file import symbols_of
-    from depthcli.run.presets import find_config, find_preset
+    from depthcli.core.config_file import find_config, symbols_of
 
     if command not in PROBLEMS:
         raise ConfigError(f"--command: must be one of {', '.join(PROBLEMS)} (got {command!r})")
-    symbols = symbols_of(find_config(command, config), lambda name: find_preset(command, name))
+    symbols = symbols_of(find_config(command, config), command)
     if twice := [key for key in axes if symbols.get(key) in axes]:
         raise ConfigError(f"--over {twice[0]}: is {symbols[twice[0]]}, which is varied already")
     return {symbols.get(key, key): values for key, values in axes.items()}
@@ -157,8 +163,6 @@ def _runs_of(
 def _show_plan(command: str, runs: Mapping[str, _Run], options: RunOptions) -> None:
     """Print what would be computed."""
     from depthcli.commands._run import DONE, plan_of
-    from depthcli.run.json_csv import to_json
-    from depthcli.show.table import aligned
 
     rows = []
     for name, run in runs.items():

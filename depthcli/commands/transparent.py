@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
-from depthcli.commands._options import DepthOptions, FrameOptions, ScoredRunOptions
-from depthcli.commands._shared_options import ConfigArgument, SetOption
+from depthcli.commands._options import ConfigArgument, DepthOptions, FrameOptions, ScoredRunOptions, SetOption
 from depthcli.core.errors import ConfigError
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Config files checked against a pydantic model.
+"""Configs: the presets of the package and of plug-ins, and config files checked against a pydantic model.
 
 Precedence: field default < base < file < ``--set key=value``, or values that a call from Python overrides. All problems
 are reported together, each as ``file:line: key: what is wrong (got ...); did you mean ...``.
@@ -10,27 +10,106 @@ import contextlib
 import copy
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from depthcli.core.errors import ConfigError
-from depthcli.core.plugins import load_plugin, loaded
-from depthcli.core.text import short
+from depthcli.core.method import RootConfig, used_files
+from depthcli.core.plugins import load_plugin, loaded, plain_name
+from depthcli.core.text import did_you_mean, short
 from depthcli.core.yaml_source import OVERRIDES, ConfigData, Location, parse_value, read_config, to_yaml
 
 _Model = TypeVar("_Model", bound=BaseModel)
+_Config = TypeVar("_Config", bound=RootConfig)
 
 _METHOD_KEYS = ("method", "pipeline")
+
+THESIS = "thesis/"
+"""Prefix of presets with the methods of the thesis, and nothing else."""
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+PRESET_FOLDER = (_PACKAGE if (_PACKAGE / "configs").is_dir() else _PACKAGE.parent) / "configs"
+"""Inside the installed package, or next to it in a checkout."""
+
+
+class Preset(NamedTuple):
+    """A file with a config of ``command``."""
+
+    command: str
+    name: str
+    file: Path
+    source: str = ""  # package and version of the plug-in that adds it
+
+    def is_called(self, name: str) -> bool:
+        """Return whether ``name`` is its name; case, underscores and the prefix ``thesis/`` do not matter."""
+        return plain_name(name) in (plain_name(self.name), plain_name(self.name.removeprefix(THESIS)))
+
+
+def presets() -> list[Preset]:
+    """Return our presets, those of the thesis after the others, then those of plug-ins.
+
+    A preset of a plug-in whose name is taken is called by its file.
+    """
+    found: list[Preset] = []
+    folders = {PRESET_FOLDER: ""}
+    for plugin in loaded.values():
+        folders[plugin.folder / "presets"] = f"{plugin.package} {plugin.version}"
+    for folder, source in folders.items():
+        files = []
+        for file in (*folder.glob("*/*.yaml"), *folder.glob(f"*/{THESIS}*.yaml")):
+            command, _, name = file.relative_to(folder).with_suffix("").as_posix().partition("/")
+            files.append((command, name.startswith(THESIS), name, file))
+        for command, _, name, file in sorted(files):
+            taken = source and any(preset.command == command and preset.is_called(name) for preset in found)
+            found.append(Preset(command, str(file) if taken else name, file, source))
+    return found
+
+
+def list_presets(command: str | None = None) -> list[tuple[str, str, str]]:
+    """Return command, name and first comment line of every preset, with the plug-in that adds it before the comment."""
+    rows = []
+    for preset in presets():
+        if command in (None, preset.command):
+            about = preset.file.read_text("utf-8", "replace").partition("\n")[0].removeprefix("#").strip()
+            rows.append((preset.command, preset.name, f"({preset.source}) {about}" if preset.source else about))
+    return rows
+
+
+def find_preset(command: str, name: str) -> Path | None:
+    """Return the file of a preset, None if there is none of that name, which may be ``COMMAND/NAME``."""
+    name = name.removeprefix(f"{command}/")
+    for preset in presets():
+        if preset.command == command and preset.is_called(name):
+            return preset.file
+    return None
+
+
+def find_config(command: str, config: str) -> Path:
+    """Return the file that a CONFIG argument names: a path, or a preset of ``command``; ConfigError for neither."""
+    path = Path(config)
+    shipped = find_preset(command, config) if not path.suffix else None
+    if shipped is not None:
+        return shipped
+    try:
+        if path.exists():
+            return path
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{config[:200]}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    names = [name for _, name, _ in list_presets(command)]
+    elsewhere = [of for of, name, _ in list_presets() if name == config.lower() and of != command]
+    hint = did_you_mean(config.lower(), names)
+    if elsewhere:
+        hint += f"; {' and '.join(elsewhere)} {'has' if len(elsewhere) == 1 else 'have'} one of that name"
+    raise ConfigError(f"{config}: neither a file nor a preset of {command}{hint} (presets: {', '.join(names)})")
 
 
 def load_config(
     model: type[_Model],
     source: Path | ConfigData,
     settings: Sequence[str | tuple[str, str]] = (),
-    find: Callable[[str], Path | None] = lambda name: None,
     values: Mapping[str, Any] | None = None,
 ) -> _Model:
     """Return a config read, laid over its base, overlaid with options and checked; ConfigError names every problem.
@@ -41,10 +120,10 @@ def load_config(
     source : a file, or a config that was read already, whose ``base`` is not followed
     settings : ``--set`` options in order, each as ``a.b=value`` or as (option, ``a.b=value``), where messages name
         ``option`` instead of ``--set``. The value is YAML; a number in the path is an index of a list
-    find : returns the file of a preset by its name, or None
     values : ``a.b`` -> plain value, after the options. A mapping that selects no method changes only the keys in it
     """
-    config = source if isinstance(source, ConfigData) else _with_base(read_config(source), source, find)
+    command = getattr(model, "command", "")
+    config = source if isinstance(source, ConfigData) else _with_base(read_config(source), source, command)
     symbols = _symbols(config)
     problems = _overlay(model, config, symbols, settings, values or {}) if settings or values else []
     folder = source.parent if isinstance(source, Path) else None  # validators look for files there
@@ -59,9 +138,29 @@ def load_config(
     return value
 
 
-def symbols_of(source: Path, find: Callable[[str], Path | None] = lambda name: None) -> dict[str, str]:
+def symbols_of(source: Path, command: str) -> dict[str, str]:
     """Return the short names that a config gives to its keys for ``--set`` and ``--over``: symbol -> key."""
-    return _symbols(_with_base(read_config(source), source, find))
+    return _symbols(_with_base(read_config(source), source, command))
+
+
+def config_with_options(
+    model: type[_Config], config: str, settings: Sequence[str | tuple[str, str]] | None, options: Mapping[str, object]
+) -> _Config:
+    """Return the config of a command with all overrides; ConfigError names all that is wrong.
+
+    Parameters
+    ----------
+    model : class of the command's configs
+    config, settings : the CONFIG argument, and the values of ``--set``
+    options : config key -> value of the option of that name; None: not given
+    """
+    given: list[str | tuple[str, str]] = list(settings or [])
+    for key, value in options.items():
+        if value is not None:
+            given.append((f"--{key.rpartition('.')[2].replace('_', '-')}", f"{key}={value}"))
+    checked = load_config(model, find_config(model.command, config), given)
+    used_files(checked)  # missing ones are an error before any scene is opened
+    return checked
 
 
 def dump_config(model: BaseModel) -> str:
@@ -72,10 +171,8 @@ def dump_config(model: BaseModel) -> str:
 # The base of a config, and the files of its plug-ins.
 
 
-def _with_base(
-    config: ConfigData, path: Path, find: Callable[[str], Path | None], chain: tuple[Path, ...] = ()
-) -> ConfigData:
-    """Return ``config``, of the file ``path``, laid over the one that its key ``base`` names.
+def _with_base(config: ConfigData, path: Path, command: str, chain: tuple[Path, ...] = ()) -> ConfigData:
+    """Return ``config``, of the file ``path``, laid over the one that its key ``base`` names, a file or a preset.
 
     Mappings are merged key by key, except that a mapping which selects a different method replaces the base's mapping.
     Any other value replaces the base's value. A file in the folder of ``path`` has precedence over a preset; ``chain``
@@ -89,13 +186,13 @@ def _with_base(
     if not isinstance(name, str):
         raise ConfigError(f"{place}: expected the name of a preset or a file (got {short(name)})")
     beside = (file for file in (path.parent / name, path.parent / f"{name}.yaml") if os.path.isfile(file))
-    target = next((file for file in beside if file.resolve() != path.resolve()), None) or find(name)
+    target = next((file for file in beside if file.resolve() != path.resolve()), None) or find_preset(command, name)
     if target is None:
         raise ConfigError(f"{place}: {short(name)} is neither a preset nor a file beside this one")
     chain = (*chain, path.resolve())
     if target.resolve() in chain:
         raise ConfigError(f"{place}: {name} leads back to this file")
-    base = _with_base(read_config(target), target, find, chain)
+    base = _with_base(read_config(target), target, command, chain)
     files = [*base.data.get("plugins", ()), *config.data.get("plugins", ())]  # a base's methods need its files
     data = _merged(base.data, config.data)
     if files:

@@ -49,9 +49,8 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     if size < _MIN_BYTES:
         return np.empty(shape, kind)
     with _lock:
-        fitting = [k for k, block in enumerate(_free) if size <= block.size <= 2 * size]
-        best = min(fitting, key=lambda k: _free[k].size, default=None)
-        block = np.empty(size, np.uint8) if best is None else _free.pop(best)
+        fitting = [(block.size, k) for k, block in enumerate(_free) if size <= block.size <= 2 * size]
+        block = _free.pop(min(fitting)[1]) if fitting else np.empty(size, np.uint8)
     # Views of an array hold on to what lies under it, so the lease lives as long as the last view.
     lease = (ctypes.c_uint8 * block.size).from_buffer(block.data)
     weakref.finalize(lease, _give, block).atexit = False

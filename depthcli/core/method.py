@@ -30,8 +30,7 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from depthcli.core.plugins import Plugin, plugins_of
-from depthcli.core.registry import Registry, registered_name, registries, registry_of
+from depthcli.core.plugins import Plugin, Registry, plugins_of, registered_name, registries, registry_of
 from depthcli.core.text import did_you_mean
 
 

@@ -31,9 +31,8 @@ from depthcli.io.scenes.places import origin
 from depthcli.run.console import Reporter
 from depthcli.run.flags import Condition, flag_rows, plain_name
 from depthcli.run.folder import saved_config, staging_folder
-from depthcli.run.json_csv import Row, to_json
 from depthcli.run.records import read_report
-from depthcli.show.table import to_csv
+from depthcli.show.table import Row, to_csv, to_json
 
 PAGE_FILE = "report.html"
 """The page, in the folder of an evaluation."""
@@ -129,8 +128,7 @@ def evaluate_runs(
         folders = {run: place if place.is_dir() else place.parent.parent for run, place in places.items()}
         promises = {run: promised(saved_config(place)) for run, place in folders.items()}
         scoring = _Scoring(places, reports, truth, folder, choices, promises)
-        with reporter:
-            results = scoring.all_results(scenes)
+        results = scoring.all_results(scenes)
         report = scoring.report(scenes, results)
         if folder is not None:
             scores = to_json(report.to_dict())
@@ -214,12 +212,12 @@ class _Scoring:
         self._recognize_maps(scenes, names)
         if (folder := self.output) is not None:
             self.show(lambda viewer: viewer.begin(folder))
-        self.choices.reporter.start(len(scenes), 0, "evaluate")
         results = []
-        for scene in scenes:
-            of_scene = self._results(scene, names[scene.name])
-            results += of_scene
-            self.choices.reporter.step(any(result.error for result in of_scene))
+        with self.choices.reporter.counting(len(scenes), 0, "evaluate"):
+            for scene in scenes:
+                of_scene = self._results(scene, names[scene.name])
+                results += of_scene
+                self.choices.reporter.step(any(result.error for result in of_scene))
         for run, errors in self.unread.items():
             if errors and len(errors) == len(scenes):
                 raise InputError(f"{run}: none of its maps can be read: {errors[0]}")

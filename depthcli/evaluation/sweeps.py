@@ -16,8 +16,7 @@ from typing import Any, TypeAlias
 from depthcli.core.errors import ConfigError
 from depthcli.evaluation.comparison import Section
 from depthcli.evaluation.statistics import mean_of_known
-from depthcli.run.json_csv import Row
-from depthcli.show.table import Number, Table
+from depthcli.show.table import Number, Row, Table
 
 Axes: TypeAlias = Mapping[str, Sequence[str]]
 """Config key -> its values, as texts for ``--set``."""

@@ -38,9 +38,8 @@ from depthcli.io.formats.calibrations import UNITS, write_calibration
 from depthcli.io.formats.files import collected_warnings, remove_temporaries, write_text
 from depthcli.io.formats.images import read_color8, write_drawn
 from depthcli.run.console import Reporter
-from depthcli.run.json_csv import Row, to_json
-from depthcli.show.draw import draw_text
-from depthcli.show.table import aligned
+from depthcli.show.table import Row, aligned, to_json
+from depthcli.show.view import draw_text
 
 _NOT_FOUND, _OUTLIER = "board not found", "outlier"  # why a photo does not count
 _LENGTH = re.compile(r"\s*([0-9]*\.?[0-9]+)\s*(mm|cm|m)\s*")
@@ -149,8 +148,7 @@ def calibrate_cameras(
     views = [CameraPhotos("left", "camera")]
     if any(photo.right for photo in photos):
         views = [CameraPhotos("left", "left camera"), CameraPhotos("right", "right camera")]
-    with reporter, collected_warnings() as turned:
-        reporter.start(len(views) * len(photos), 0, "calibrate")
+    with reporter.counting(len(views) * len(photos), 0, "calibrate"), collected_warnings() as turned:
         for view in views:
             _look(view, board, {photo.name: getattr(photo, view.side) for photo in photos}, reporter)
     if views[0].size != views[-1].size:

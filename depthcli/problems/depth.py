@@ -30,10 +30,9 @@ from depthcli.io.scenes.places import local
 from depthcli.problems.problem import DEPTH_FILES, SceneJob, Shown
 from depthcli.problems.results import PointCloud, check_limits, chosen_pixels, depth_of, empty_cloud, parse_mask
 from depthcli.run.job import Outcome
-from depthcli.run.json_csv import Row, share
-from depthcli.run.json_csv import median as median_of
 from depthcli.run.records import is_inside, read_json, read_report
-from depthcli.show.table import SIZE, number, percent
+from depthcli.show.table import SIZE, Row, number, percent, share
+from depthcli.show.table import median as median_of
 from depthcli.show.view import STATUS_PALETTE
 
 _MAP = "disp_left.pfm"

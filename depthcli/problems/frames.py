@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +24,25 @@ from depthcli.io.formats.depth import MILLIMETERS, beyond_png
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.networks import network_path, read_errors, read_network, read_numbers
 from depthcli.io.rgbd_frames import check_center
-from depthcli.io.scenes import RgbdScene
+from depthcli.io.scenes.frames import FRAMES
 from depthcli.methods.kinect.bounds import DepthErrors
 from depthcli.methods.kinect.bounds import depth_bounds as kinect_bounds
 from depthcli.methods.transparent.bounds import KINDS, GlassErrors, glass_bounds
-from depthcli.problems.results import Pixels, PointCloud, Shown, chosen_pixels, made, write_depth, write_details
+from depthcli.problems.problem import Inputs, Problem
+from depthcli.problems.results import (
+    MapRepr,
+    Pixels,
+    PointCloud,
+    check_limits,
+    chosen_pixels,
+    empty_cloud,
+    made,
+    parse_mask,
+    write_depth,
+    write_details,
+)
 from depthcli.run.console import Reporter
+from depthcli.run.job import SceneT
 
 
 class DepthConfig(RootConfig):
@@ -54,7 +67,7 @@ class DepthConfig(RootConfig):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RefinedDepth(Shown, DepthMap):
+class RefinedDepth(MapRepr, DepthMap):
     """The depth map of a sensor, cleaned and completed.
 
     ``values`` (H, W) are float32, meters, NaN = no value; ``status`` (H, W) uint8 has bits of :class:`DepthStatus`,
@@ -117,47 +130,71 @@ class RefinedDepth(Shown, DepthMap):
         write_details(self.details, files)
 
 
-def refined(
-    refine: Callable[[Any], DepthResult],
-    frame: RgbdFrame,
-    promise: DepthBound,
-    context: Context,
-    scale: float,
-    rotate: int,
-) -> RefinedDepth:
-    """Return a frame's map refined, with its bound.
-
-    The clock books the stages, and ``other``; ``scale`` and ``rotate`` are of the codes that are written.
-    """
-    clock = context.clock
-    clock.start("other")
-    result = refine(frame)
-    clock.include(result.seconds)
-    clock.start("bound")
-    bound, probability = depth_bounds(frame, result.depth, promise)
-    depth = result.depth
-    _, beyond = beyond_png(depth.values, scale)
-    return RefinedDepth(
-        depth.values,
-        without_smoothed(depth.status),
-        frame,
-        frame.intrinsics,
-        bound,
-        probability,
-        result,
-        dict(clock.seconds),
-        scale,
-        rotate,
-        warnings=(f"{beyond}; see depth_scale",) if beyond else (),
-    )
+InputsT = TypeVar("InputsT", bound=Inputs)
+ConfigT = TypeVar("ConfigT", bound=DepthConfig)
 
 
-def with_cloud(config: DepthConfig, depth: RefinedDepth, maps: Mapping[str, NDArray[np.float32]]) -> RefinedDepth:
-    """Return a map with the pixels of its cloud, if there is to be one; ``maps``: of ``confident:0.8``."""
-    if not config.ply:
-        return depth
-    cloud = chosen_pixels(depth, config.mask, maps) & (depth.values >= config.near) & (depth.values <= config.far)
-    return replace(depth, cloud=cloud if config.max_bound is None else cloud & (depth.bound <= config.max_bound))
+@dataclass(frozen=True)
+class DepthProblem(Problem[SceneT, InputsT, RefinedDepth], Generic[SceneT, InputsT, ConfigT]):
+    """Depth of sensors, refined; the commands differ in their inputs and methods."""
+
+    rows = FRAMES
+
+    config: ConfigT
+
+    @classmethod
+    def ready(cls, config: ConfigT) -> Self:
+        """Return the problem; ConfigError where the limits of clouds are wrong, before any frame is opened."""
+        check_limits(config.near, config.far)
+        parse_mask(config.mask)
+        return cls(config)
+
+    def units(self, scenes: Sequence[Any], reporter: Reporter) -> Sequence[SceneT]:
+        """Return the frames, with a warning of those without intrinsics, if clouds need these."""
+        own = [scene for scene in scenes if not (scene.problem or scene.raw)]
+        needed = self.config.ply and self.config.intrinsics is None
+        if needed and (n_without := sum(frame.intrinsics is None for frame in own)):
+            reporter.info(
+                f"warning: {n_without} of {len(own)} frames have no intrinsics; point clouds assume a "
+                "typical Kinect (fx, fy 525 at a width of 640); see --intrinsics, or meta.json"
+            )
+        return scenes
+
+    def refined(
+        self, refine: Callable[[Any], DepthResult], frame: RgbdFrame, context: Context, scale: float, rotate: int
+    ) -> RefinedDepth:
+        """Return a frame's map refined, with its bound, and the pixels of its cloud if there is to be one.
+
+        The clock books the stages, and ``other``; ``scale`` and ``rotate`` are of the codes that are written.
+        """
+        config, clock = self.config, context.clock
+        clock.start("other")
+        result = refine(frame)
+        clock.include(result.seconds)
+        clock.start("bound")
+        bound, probability = depth_bounds(frame, result.depth, config.bound)
+        values = result.depth.values
+        _, beyond = beyond_png(values, scale)
+        depth = RefinedDepth(
+            values,
+            without_smoothed(result.depth.status),
+            frame,
+            frame.intrinsics,
+            bound,
+            probability,
+            result,
+            dict(clock.seconds),
+            scale,
+            rotate,
+            warnings=(f"{beyond}; see depth_scale",) if beyond else (),
+        )
+        if not config.ply:
+            return depth
+        cloud = chosen_pixels(depth, config.mask, depth.confidence or {"bound": -bound})
+        cloud &= (values >= config.near) & (values <= config.far)
+        if config.max_bound is not None:
+            cloud &= bound <= config.max_bound
+        return replace(depth, cloud=cloud, warnings=(*depth.warnings, *empty_cloud(values, cloud)))
 
 
 @cache
@@ -177,13 +214,3 @@ def depth_bounds(frame: RgbdFrame, found: DepthMap, promise: DepthBound) -> tupl
     if isinstance(frame, SparseFrame):
         return glass_bounds(glass_errors(), frame, found, promise.level, promise.within)
     return kinect_bounds(kinect_errors(), frame, found, promise.level, promise.within)
-
-
-def say_typical_cameras(scenes: Sequence[RgbdScene], reporter: Reporter) -> None:
-    """Warn of frames without intrinsics, whose clouds take the intrinsics of a typical Kinect."""
-    own = [scene for scene in scenes if not (scene.problem or scene.raw)]
-    if n_without := sum(frame.intrinsics is None for frame in own):
-        reporter.info(
-            f"warning: {n_without} of {len(own)} frames have no intrinsics; point clouds assume a "
-            "typical Kinect (fx, fy 525 at a width of 640); see --intrinsics, or meta.json"
-        )

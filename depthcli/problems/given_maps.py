@@ -48,10 +48,9 @@ from depthcli.problems.inputs import as_image, as_map, as_pair
 from depthcli.problems.problem import MAP_FILES, Problem, ResultT, Shown
 from depthcli.problems.results import Disparity, made, write_details, write_disparity
 from depthcli.run.console import Reporter
-from depthcli.run.json_csv import Row, median, share
 from depthcli.run.records import RECORD_FILE, read_report
 from depthcli.run.resources import available_memory, check_memory
-from depthcli.show.table import SIZE, number, percent
+from depthcli.show.table import SIZE, Row, median, number, percent, share
 from depthcli.show.view import STATUS_PALETTE, View
 
 _TOP_SHARE = 0.999  # of the values; larger ones do not widen the range of the costs

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -14,12 +14,11 @@ from pydantic import BaseModel
 from depthcli.core import config_file
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair, color8
-from depthcli.core.method import RootConfig, used_files
+from depthcli.core.method import RootConfig
 from depthcli.core.yaml_source import ConfigData
 from depthcli.io.formats.depth import meters
 from depthcli.io.formats.disparity import squeezed
 from depthcli.io.formats.images import bits_said, pair_of
-from depthcli.run.presets import find_config, find_preset
 
 ModelT = TypeVar("ModelT", bound=RootConfig)
 
@@ -54,29 +53,7 @@ def load_config(
             return preset
         data = ConfigData("config", preset.model_dump(mode="json", by_alias=True))
         return config_file.load_config(model, data, values=values)
-    file = find_config(model.command, str(preset))
-    return config_file.load_config(model, file, find=lambda name: find_preset(model.command, name), values=values)
-
-
-def config_with_options(
-    model: type[ModelT], config: str, settings: Sequence[str | tuple[str, str]] | None, options: Mapping[str, object]
-) -> ModelT:
-    """Return the config of a command with all overrides; ConfigError names all that is wrong.
-
-    Parameters
-    ----------
-    model : class of the command's configs
-    config, settings : the CONFIG argument, and the values of ``--set``
-    options : config key -> value of the option of that name; None: not given
-    """
-    given: list[str | tuple[str, str]] = list(settings or [])
-    for key, value in options.items():
-        if value is not None:
-            given.append((f"--{key.rpartition('.')[2].replace('_', '-')}", f"{key}={value}"))
-    file = find_config(model.command, config)
-    checked = config_file.load_config(model, file, given, lambda name: find_preset(model.command, name))
-    used_files(checked)  # missing ones are an error before any scene is opened
-    return checked
+    return config_file.load_config(model, config_file.find_config(model.command, str(preset)), values=values)
 
 
 def _plain(value: Any) -> Any:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeAlias, cast, overload
+from typing import Any, ClassVar, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,11 +17,11 @@ from pydantic import Field
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.color_and_depth import registered
 from depthcli.core.cameras.kinect import sensor_fb
-from depthcli.core.context import Context
+from depthcli.core.context import Clock, Context
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DEPTH_STATUS_HELP, DepthStatus
-from depthcli.core.result import Clock, DepthResult
+from depthcli.core.result import DepthResult
 from depthcli.io.formats.depth import MILLIMETERS, sensor_warning
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import collected_warnings, naming
@@ -28,18 +29,15 @@ from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.plain_text import numbers
 from depthcli.io.rgbd_frames import check_center, frame_size, load_frame
 from depthcli.io.scenes import RgbdScene, Scene, SequenceScene, sequences
-from depthcli.io.scenes.frames import FRAMES
 from depthcli.methods.kinect.bounds import BYTES_PER_PIXEL
 from depthcli.methods.kinect.pipeline import Pipeline, SequencePipeline, frame_by_frame
-from depthcli.problems.frames import DepthConfig, RefinedDepth, refined, say_typical_cameras, with_cloud
+from depthcli.problems.frames import DepthConfig, DepthProblem, RefinedDepth
 from depthcli.problems.inputs import Overrides, as_color8, as_depth, load_config
-from depthcli.problems.problem import DEPTH_FILES, Problem, Shown
-from depthcli.problems.results import check_limits, empty_cloud, parse_mask
+from depthcli.problems.problem import DEPTH_FILES, Shown
 from depthcli.run.console import Reporter
 from depthcli.run.job import Outcome
-from depthcli.run.json_csv import Row, median, share
 from depthcli.run.resources import available_memory, check_memory
-from depthcli.show.table import SIZE, number, percent
+from depthcli.show.table import SIZE, Row, median, number, percent, share
 from depthcli.show.view import DEPTH_STATUS_PALETTE
 
 Image = NDArray[Any]
@@ -73,12 +71,11 @@ class FrameInputs:
 
 
 @dataclass(frozen=True)
-class RefineKinect(Problem[FrameOrSequence, FrameInputs, RefinedDepth]):
+class RefineKinect(DepthProblem[FrameOrSequence, FrameInputs, RefineKinectConfig]):
     """Frames refined, or the frames of sequences in order."""
 
     command = "refine-kinect"
     model = RefineKinectConfig
-    rows = FRAMES
     writes = (*DEPTH_FILES, "probability.pfm", "confidence_*")
     shown = Shown(
         (SIZE, *map(percent, ("known", "kept", "filled", "corrected")), number("median_bound", "{:.3g} m")),
@@ -86,7 +83,6 @@ class RefineKinect(Problem[FrameOrSequence, FrameInputs, RefinedDepth]):
         protocol="depth",
     )
 
-    config: RefineKinectConfig
     step: Callable[[RgbdFrame], DepthResult] | None = None  # refines the next frame of a sequence
 
     def truth_scenes(self, scenes: Sequence[FrameOrSequence]) -> Sequence[Scene]:
@@ -111,22 +107,11 @@ class RefineKinect(Problem[FrameOrSequence, FrameInputs, RefinedDepth]):
         first = scene.frames[0] if isinstance(scene, SequenceScene) else scene
         return self.config.peak_bytes(frame_size(first))
 
-    @classmethod
-    def ready(cls, config: RefineKinectConfig) -> Self:
-        """Return the problem; ConfigError where the limits of clouds are wrong, before any frame is opened."""
-        check_limits(config.near, config.far)
-        parse_mask(config.mask)
-        return cls(config)
-
-    def units(self, scenes: Sequence[RgbdScene], reporter: Reporter) -> Sequence[FrameOrSequence]:
+    def units(self, scenes: Sequence[Any], reporter: Reporter) -> Sequence[FrameOrSequence]:
         """Return the frames, or the sequences of them if the pipeline carries a state along."""
-        if self.config.ply and self.config.intrinsics is None:
-            say_typical_cameras(scenes, reporter)
-        return (
-            cast("Sequence[FrameOrSequence]", sequences(scenes))
-            if isinstance(self.config.pipeline, SequencePipeline)
-            else scenes
-        )
+        frames = super().units(scenes, reporter)
+        carries = isinstance(self.config.pipeline, SequencePipeline)
+        return cast("Sequence[FrameOrSequence]", sequences(frames)) if carries else frames
 
     def compute(self, scene: FrameOrSequence, folder: Path, context: Context) -> Outcome:
         """Refine a frame; or the frames of a sequence, each into a folder, with means of their facts."""
@@ -174,12 +159,7 @@ class RefineKinect(Problem[FrameOrSequence, FrameInputs, RefinedDepth]):
         config, frame = self.config, inputs.frame
         height, width = frame.shape
         check_memory(config.peak_bytes(frame.shape), context.memory, f"{width} x {height} pixels")
-        refine = self.step or config.pipeline
-        depth = refined(refine, frame, config.bound, context, inputs.scale, inputs.rotate)
-        depth = with_cloud(config, depth, depth.confidence or {"bound": -depth.bound})
-        if depth.cloud is None:
-            return depth
-        return replace(depth, warnings=(*depth.warnings, *empty_cloud(depth.values, depth.cloud)))
+        return self.refined(self.step or config.pipeline, frame, context, inputs.scale, inputs.rotate)
 
     def row(self, inputs: FrameInputs, result: RefinedDepth) -> Row:
         """Return size, shares of the pixels by their status, the bound, and figures of the method."""
@@ -220,9 +200,9 @@ def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
 Preset: TypeAlias = str | Path | RefineKinectConfig
 
 
-@overload
+@typing.overload
 def refine_depth(color: Image | None, depth: Image, preset: Preset = ..., **options: Any) -> RefinedDepth: ...
-@overload
+@typing.overload
 def refine_depth(
     color: Sequence[Image], depth: Sequence[Image], preset: Preset = ..., **options: Any
 ) -> list[RefinedDepth]: ...

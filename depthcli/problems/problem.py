@@ -15,8 +15,7 @@ from depthcli.core.method import RootConfig, parts_of, used_plugins
 from depthcli.io.scenes import Layouts, Scene
 from depthcli.run.console import Reporter
 from depthcli.run.job import Job, Outcome, SceneT
-from depthcli.run.json_csv import Row
-from depthcli.show.table import Column
+from depthcli.show.table import Column, Row
 from depthcli.show.view import Palette
 
 MAP_FILES = (

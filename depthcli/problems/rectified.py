@@ -25,8 +25,7 @@ from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair, load_views
 from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, matched_range
 from depthcli.methods.stereo.view_matching import Points, match_views, row_error
-from depthcli.run.json_csv import Row
-from depthcli.show.table import number
+from depthcli.show.table import Row, number
 
 _MAX_ROW_ERROR = 1.0  # median row error of a calibrated pair, pixels; with more a scene has a warning
 

@@ -38,8 +38,7 @@ from depthcli.problems.rectified import (
     sequence_range,
 )
 from depthcli.run.job import Outcome
-from depthcli.run.json_csv import Row, share
-from depthcli.show.table import SIZE, number, percent
+from depthcli.show.table import SIZE, Row, number, percent, share
 
 _MIN_SPREAD = 1.0  # of the disparities of a pair without calibration, pixels; with less a scene has a warning
 

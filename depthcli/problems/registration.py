@@ -45,9 +45,8 @@ from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from depthcli.problems.inputs import Overrides, as_volume, load_config
 from depthcli.problems.problem import Problem, Shown
 from depthcli.problems.results import made
-from depthcli.run.json_csv import Row
 from depthcli.run.resources import available_memory, check_memory
-from depthcli.show.table import Column, number, percent, to_csv
+from depthcli.show.table import Column, Row, number, percent, to_csv
 from depthcli.show.volumes import draw_volumes
 
 _USUAL = VolumeBound()

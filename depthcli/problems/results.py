@@ -26,9 +26,8 @@ from depthcli.io.formats.status import write_status
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.problems.rectified import Rectified
-from depthcli.show.draw import draw
 from depthcli.show.table import to_csv
-from depthcli.show.view import View
+from depthcli.show.view import View, draw
 
 Pixels = str | NDArray[np.bool_]
 """Name of a choice of pixels, or (H, W) bool."""
@@ -184,7 +183,7 @@ class PointCloud:
         write_points(path, self.points, self.color)
 
 
-class Shown:
+class MapRepr:
     """How a map in meters shows itself, in the console and in notebooks."""
 
     values: NDArray[np.float32]
@@ -205,7 +204,7 @@ class Shown:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Depth(Shown, MatchedMap):
+class Depth(MapRepr, MatchedMap):
     """Metric depth of a disparity map: ``values`` (H, W) float32, meters; ``status``, bits of :class:`Status`."""
 
     camera: Intrinsics  # the left one
@@ -237,7 +236,7 @@ class Depth(Shown, MatchedMap):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Disparity(Shown, DisparityMap):
+class Disparity(MapRepr, DisparityMap):
     """The disparity map of a pair's left view.
 
     ``values`` (H, W) are float32, pixels, NaN = no value; ``status`` (H, W) uint8 has bits of :class:`Status`, which

@@ -50,9 +50,8 @@ from depthcli.problems.rectified import (
     sequence_range,
 )
 from depthcli.problems.results import Disparity
-from depthcli.run.json_csv import Row, median, share
 from depthcli.run.resources import available_memory, check_memory
-from depthcli.show.table import SIZE, number, percent
+from depthcli.show.table import SIZE, Row, median, number, percent, share
 from depthcli.show.view import STATUS_PALETTE
 
 _MAX_DISPARITY = 16383  # pixels, 14 bits: wider than the images that any method here can match
@@ -128,8 +127,6 @@ PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
 def with_reading(config: PairConfigT, fields: Mapping[str, Any]) -> PairConfigT:
     """Return the config with these fields of its calibration; ConfigError if it has no calibration."""
-    if not fields:
-        return config
     if config.calibration is None:
         raise ConfigError(f"--{next(iter(fields))}: there is no calibration; give --calibration FILE, too")
     return config.model_copy(update={"calibration": config.calibration.model_copy(update=dict(fields))})
@@ -226,7 +223,9 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
 
     def files(self, scene: StereoScene) -> dict[str, Path]:
         """Return the files of the pair, the calibration that rectifies it, and the frames that give its range."""
-        files = scene.input_files | calibration_files(self.config.calibration)
+        files = scene.input_files
+        if self.config.calibration is not None:
+            files |= calibration_files(self.config.calibration)
         for k, frame in enumerate(self.range_frames(scene)):
             files |= {f"range_{k}_{role}": file for role, file in frame.input_files.items()}
         return files
@@ -322,6 +321,8 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         if self.config.max_disparity is not None or self.config.calibration is not None:
             return []
         unknown = {scene.name for scene in scenes if not scene.problem and scene.max_disparity is None}
+        if not unknown:
+            return []
         ends = [row["max_disparity"] for row in rows if row["scene"] in unknown and "max_disparity" in row]
         if not ends:
             return []
@@ -358,7 +359,9 @@ class Stereo(Pairs[StereoConfig]):
 
     def device(self) -> Device | None:
         """Return the device that the config names; None for the processor, and if the pipeline opens it itself."""
-        return device.open_device(self.config.device) if self.config.pipeline.uses_devices else None
+        if self.config.device == "cpu" or not self.config.pipeline.uses_devices:
+            return None
+        return device.open_device(self.config.device)
 
     def device_column(self) -> Row:
         """Return the device, where the config names one."""
@@ -439,12 +442,13 @@ def _warnings(
 
 def with_address(config: StereoConfig) -> StereoConfig:
     """Return the config with the address of its device, and its networks opened there; ConfigError where one fails."""
+    address = config.device
     try:
-        if config.pipeline.uses_devices:
-            info = device.find_device(config.device)
+        if address != "cpu" and config.pipeline.uses_devices:
+            info = device.find_device(address)
             address = "cpu" if info is None else info.address
-        else:
-            address = network_device(config.device)
+        elif address != "cpu":
+            address = network_device(address)
     except (DeviceError, InputError) as error:
         raise ConfigError(str(error)) from error
     return with_opened_networks(config.model_copy(update={"device": address}), address)

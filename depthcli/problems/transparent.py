@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,17 +30,13 @@ from depthcli.io.rgbd_frames import (
     load_sparse_frame,
 )
 from depthcli.io.scenes import RgbdScene, RgbIrScene
-from depthcli.io.scenes.frames import FRAMES
 from depthcli.methods.transparent.cross_modal import CrossModal
 from depthcli.methods.transparent.pipeline import Pipeline
-from depthcli.problems.frames import DepthConfig, RefinedDepth, refined, say_typical_cameras, with_cloud
+from depthcli.problems.frames import DepthConfig, DepthProblem, RefinedDepth
 from depthcli.problems.inputs import Overrides, as_color8, as_depth, as_image, as_map, load_config
-from depthcli.problems.problem import DEPTH_FILES, Problem, Shown
-from depthcli.problems.results import check_limits, empty_cloud, parse_mask
-from depthcli.run.console import Reporter
-from depthcli.run.json_csv import Row, median, share
+from depthcli.problems.problem import DEPTH_FILES, Shown
 from depthcli.run.resources import available_memory, check_memory
-from depthcli.show.table import SIZE, number, percent
+from depthcli.show.table import SIZE, Row, median, number, percent, share
 from depthcli.show.view import DEPTH_STATUS_PALETTE
 
 Image = NDArray[Any]
@@ -73,12 +69,11 @@ class GlassInputs:
 
 
 @dataclass(frozen=True)
-class Transparent(Problem[RgbdScene, GlassInputs, RefinedDepth]):
+class Transparent(DepthProblem[RgbdScene, GlassInputs, TransparentConfig]):
     """Dense depth of frames with transparent objects."""
 
     command = "transparent"
     model = TransparentConfig
-    rows = FRAMES
     writes = (*DEPTH_FILES, "probability.pfm", "confidence_*", "unreliable.png", "stereo.png")
     shown = Shown(
         (
@@ -97,8 +92,6 @@ class Transparent(Problem[RgbdScene, GlassInputs, RefinedDepth]):
         ),
         protocol="depth",
     )
-
-    config: TransparentConfig
 
     def files(self, scene: RgbdScene) -> dict[str, Path]:
         """Return the files of the frame, and of its sparse depth unless that comes from stereo."""
@@ -136,19 +129,6 @@ class Transparent(Problem[RgbdScene, GlassInputs, RefinedDepth]):
         """Return the estimate, or None if the color and infrared images are matched first."""
         return self.memory(scene) if self.config.stereo is None else None
 
-    @classmethod
-    def ready(cls, config: TransparentConfig) -> Self:
-        """Return the problem; ConfigError where the limits of clouds are wrong, before any frame is opened."""
-        check_limits(config.near, config.far)
-        parse_mask(config.mask)
-        return cls(config)
-
-    def units(self, scenes: Sequence[RgbdScene], reporter: Reporter) -> Sequence[RgbdScene]:
-        """Return the frames, with a warning of those without intrinsics, if clouds need these."""
-        if self.config.ply and self.config.intrinsics is None:
-            say_typical_cameras(scenes, reporter)
-        return scenes
-
     def load(self, scene: RgbdScene, context: Context) -> GlassInputs:
         """Return the frame of a scene with its sparse depth, its mask of objects, or its infrared image."""
         context.clock.start("load")
@@ -182,14 +162,7 @@ class Transparent(Problem[RgbdScene, GlassInputs, RefinedDepth]):
         if not isinstance(frame, SparseFrame):
             assert stereo is not None
             frame, figures = stereo(frame, context.clock)
-        depth = refined(config.pipeline, frame, config.bound, context, inputs.scale, inputs.rotate)
-        depth = replace(depth, camera=inputs.camera or depth.camera)
-        depth, warnings = with_cloud(config, depth, {"bound": -depth.bound}), list(depth.warnings)
-        if frame.objects is not None:
-            text = "inside the mask is the depth of the surroundings, not of the objects: nothing measured it"
-            warnings.insert(0, text)
-        if depth.cloud is not None:
-            warnings += empty_cloud(depth.values, depth.cloud)
+        depth = self.refined(config.pipeline, frame, context, inputs.scale, inputs.rotate)
         if figures is not None:
             with np.errstate(invalid="ignore"):
                 codes = np.nan_to_num(np.rint(frame.sparse * inputs.scale), nan=0.0)
@@ -197,7 +170,11 @@ class Transparent(Problem[RgbdScene, GlassInputs, RefinedDepth]):
             depth.details.pictures["stereo"] = np.where(codes <= 65535, codes, 0).astype(np.uint16)
             if frame.sparse_confidence is not None:
                 depth.details.confidence["stereo"] = frame.sparse_confidence
-        return replace(depth, warnings=tuple(warnings))
+        warnings = depth.warnings
+        if frame.objects is not None:
+            text = "inside the mask is the depth of the surroundings, not of the objects: nothing measured it"
+            warnings = (text, *warnings)
+        return replace(depth, camera=inputs.camera or depth.camera, warnings=warnings)
 
     def row(self, inputs: GlassInputs, result: RefinedDepth) -> Row:
         """Return size, shares of the pixels by the source of their depth, the bound, and figures of the method."""

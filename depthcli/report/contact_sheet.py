@@ -15,8 +15,7 @@ from depthcli.evaluation.protocols import AnyProtocol, picture
 from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.images import write_png
 from depthcli.io.scenes import Scene
-from depthcli.show.draw import draw, draw_swatch, draw_text, kind_colors
-from depthcli.show.view import NO_VALUE, Picture, View
+from depthcli.show.view import NO_VALUE, Picture, View, draw, draw_swatch, draw_text, kind_colors
 
 _MAX_SCENES = 4  # rows: the sheet fits a screen
 _MAX_RUNS = 4

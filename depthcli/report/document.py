@@ -10,8 +10,8 @@ from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import write_png
 from depthcli.report.plots import curve_plot
 from depthcli.report.tables import report_tables
-from depthcli.show.draw import draw_legend, kind_colors
 from depthcli.show.table import markdown_code, markdown_link, markdown_text
+from depthcli.show.view import draw_legend, kind_colors
 
 
 class Document(Viewer):

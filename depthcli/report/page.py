@@ -26,9 +26,8 @@ from depthcli.report.scene_view import SceneView, view_with_truth
 from depthcli.report.terms import heading_help
 from depthcli.report.without_truth import RunWithoutTruth, scenes_without_truth
 from depthcli.run.flags import Flags
-from depthcli.show.draw import error_scales, map_colors
 from depthcli.show.table import Number, to_csv
-from depthcli.show.view import MEASURED_CODE, NO_VALUE
+from depthcli.show.view import MEASURED_CODE, NO_VALUE, error_scales, map_colors
 
 _ASSETS = "assets"  # folder of the pictures that do not fit into the page
 _BUDGET = 50_000_000  # size of the scenes' pictures in the page, bytes: browsers open such a file within seconds

@@ -25,7 +25,6 @@ from depthcli.io.formats.images import read_image
 from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import Scene
 from depthcli.report.packing import PackedScene, jpeg, pack, pack_bytes, png
-from depthcli.show.draw import draw
 from depthcli.show.view import (
     HIDDEN_RIGHT,
     Palette,
@@ -33,6 +32,7 @@ from depthcli.show.view import (
     Range,
     View,
     bound_range,
+    draw,
     pixel_kinds,
     status_colors,
     status_words,

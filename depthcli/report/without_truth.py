@@ -13,8 +13,7 @@ from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.scenes import Scene
 from depthcli.report.scene_view import SceneView, scale_of
-from depthcli.run.json_csv import Row
-from depthcli.show.table import SECONDS, Column, Number, Table
+from depthcli.show.table import SECONDS, Column, Number, Row, Table
 from depthcli.show.view import Palette, View
 
 _MAX_SHOWN = 300  # scenes without truth with pictures; more would make the page slow

@@ -5,13 +5,13 @@ The life of a scene, from :func:`depthcli.run.runner.run_scenes`, which gets a `
 1. ``folder`` locks the run folder, writes ``run.yaml``, or refuses the folder of another config.
 2. ``runner`` digests every file that the scene depends on. If ``record.json`` of the scene (``records``) has the
    same run and digests, and its files match, it is done, and its row comes from the record.
-3. ``workers`` compute the others here or in processes (``--jobs``), ``cluster`` on dask (``--scheduler``). Each calls
-   ``compute_scene``, which gives the command an empty hidden folder in the run folder, and moves the files to
-   ``<run folder>/<scene>``, the record last. Any failure becomes a row with its reason.
-4. ``report`` writes ``report.json`` and ``report.csv`` from the records, whenever a process of the run ends.
+3. ``workers`` compute the others here or in processes (``--jobs``), ``cluster`` on dask (``--scheduler``).
+4. ``scene`` is the way of a scene there: it gives the command an empty hidden folder in the run folder, and moves the
+   files to ``<run folder>/<scene>``, the record last. Any failure becomes a row with its reason.
+5. ``runner`` writes ``report.json`` and ``report.csv`` from the records, whenever a process of the run ends.
 
 A kill at any moment leaves files that one of these steps recognizes when the same command is started again.
 
-Others: ``console`` is the output on the terminal, ``resources`` cores and memory, ``json_csv``
-writes rows, ``presets`` finds the configs that are shipped.
+Others: ``console`` is the output on the terminal, ``resources`` cores and memory, ``flags`` has the conditions of
+``--flag``.
 """

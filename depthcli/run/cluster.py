@@ -21,9 +21,10 @@ from depthcli.core.plugins import load_plugin, loaded
 from depthcli.kernels.jit import CompileWatch
 from depthcli.run import resources
 from depthcli.run.console import Reporter
-from depthcli.run.json_csv import Row
 from depthcli.run.records import digest, file_digest
-from depthcli.run.workers import BUG, GOES_ON, Task, Work, compute_scene, counted, report_compilation, use_threads
+from depthcli.run.scene import BUG, GOES_ON, Task, Work, compute_scene
+from depthcli.run.workers import counted, report_compilation, use_threads
+from depthcli.show.table import Row
 
 _CONNECT_TIMEOUT = "20s"
 _RUNNING_FILE = "goes-on"  # in the hidden folder of a run; workers stop when it is gone
@@ -154,7 +155,7 @@ def _compute_there(modules: Iterable[str], data: bytes) -> tuple[Row, int, float
 
 def _identity_here(work: Work) -> str:
     """Return a digest of the run with the versions, and of the sources of depthcli, of this process."""
-    return work.identity + _sources()
+    return digest(work.text.encode()) + _sources()
 
 
 @cache

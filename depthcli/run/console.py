@@ -8,7 +8,8 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any, TextIO
 
 from depthcli.core.errors import IncompleteError
@@ -24,6 +25,7 @@ def silence_warnings() -> None:
         warnings.showwarning = lambda *warning, **place: None
 
 
+@dataclass(eq=False)
 class Reporter:
     """Prints messages and progress on stderr and data on stdout.
 
@@ -31,12 +33,15 @@ class Reporter:
     1: also details. ``command_line`` has the words of this call as a shell takes them, for reports.
     """
 
-    def __init__(self, level: int = 0, command_line: str = "") -> None:
-        self.level, self.command_line = level, command_line
-        self._once: set[str] = set()
-        self._what, self._total, self._done, self._failed = "", 0, 0, 0
-        self._said = 0.0
-        self._bar: Any = None
+    level: int = 0
+    command_line: str = ""
+    _once: set[str] = field(default_factory=set)
+    _what: str = ""
+    _total: int = 0
+    _done: int = 0
+    _failed: int = 0
+    _said: float = 0.0  # when a line was printed
+    _bar: Any = None
 
     def error(self, text: str) -> None:
         """Print an error, at any level."""
@@ -79,8 +84,9 @@ class Reporter:
             if isinstance(error, OSError) and number not in (errno.EPIPE, errno.EBADF):
                 raise IncompleteError(f"stdout: cannot be written ({error.strerror or error})") from error
 
-    def start(self, total: int, done: int, what: str) -> None:
-        """Begin to show how many scenes of a command are done: a bar on a terminal, lines elsewhere."""
+    @contextlib.contextmanager
+    def counting(self, total: int, done: int, what: str) -> Iterator[None]:
+        """Show in the block how many scenes of a command are done: a bar on a terminal, lines elsewhere."""
         self._what, self._total, self._done, self._failed, self._said = what, total, done, 0, time.monotonic()
         with contextlib.suppress(OSError, ValueError):  # stderr was closed
             if self.level >= 0 and sys.stderr.isatty():
@@ -89,6 +95,13 @@ class Reporter:
                 bar: dict[str, Any] = {"total": total, "initial": done, "unit": "scene", "file": sys.stderr}
                 tqdm.monitor_interval = 0  # without its thread processes can be forked
                 self._bar = tqdm(desc=what, **bar, leave=False, dynamic_ncols=True, mininterval=0.2)
+        try:
+            yield
+        finally:
+            if self._bar is not None:
+                with contextlib.suppress(OSError, ValueError):
+                    self._bar.close()
+                self._bar = None
 
     def step(self, failed: bool = False) -> None:
         """Count one more scene."""
@@ -112,15 +125,6 @@ class Reporter:
             self._said = time.monotonic()
             self.info(f"{text}, {seconds:.0f} s")
 
-    def __enter__(self) -> Reporter:
-        return self
-
-    def __exit__(self, *error: object) -> None:  # takes the bar away
-        if self._bar is not None:
-            with contextlib.suppress(OSError, ValueError):
-                self._bar.close()
-            self._bar = None
-
     @staticmethod
     def close(stream: TextIO) -> None:
         """Send the interpreter's last flush of a stream to the null device, where it cannot fail."""
@@ -128,12 +132,12 @@ class Reporter:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
+@dataclass(eq=False)
 class WarningCounts:
     """Prints the warnings of scenes: one line a kind (up to numbers and files), and how many scenes have it."""
 
-    def __init__(self, reporter: Reporter) -> None:
-        self._reporter = reporter
-        self._kinds: dict[str, tuple[str, int]] = {}  # the text of the first one, and the number of scenes
+    _reporter: Reporter
+    _kinds: dict[str, tuple[str, int]] = field(default_factory=dict)  # the text of the first one, and how many scenes
 
     def add(self, scene: str, lines: Sequence[str]) -> None:
         """Take the warnings of a scene; with ``-v`` each is printed."""

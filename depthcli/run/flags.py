@@ -88,6 +88,8 @@ def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]
 
     Warn about conditions that some or all rows, which have a ``scene`` and may have a ``run``, have no value for.
     """
+    if not conditions:
+        return Flags(n_rows=len(rows))
     reasons: list[list[str]] = [[] for _ in rows]
     distances: list[list[float]] = [[] for _ in rows]
     unanswered = []

@@ -12,6 +12,7 @@ import hashlib
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -50,12 +51,13 @@ LOCKS_FILE = ".locks"
 
 _SETUP_TIMEOUT = 60.0  # seconds that a process waits for another one to set up the folder
 _POLL_SECONDS = 0.05
-_REPORT_BYTE = 0  # of the file of locks; locked while the report is written
+_REPORT = ""  # what is claimed while the report is written
 
 TITLE = "# Written by depthcli: the resolved config of this run."
 """How a run.yaml begins; a file of that name without it is not ours."""
 
 
+@dataclass(eq=False)
 class FolderLock:
     """The right to write into a run folder, which is made where it is missing.
 
@@ -63,10 +65,12 @@ class FolderLock:
     is False on a file system without locks, where nobody knows of other processes and ``warn`` takes a message.
     """
 
-    def __init__(self, output: Path, warn: Callable[[str], None]) -> None:
-        self.output, self._warn = output, warn
-        self.alone, self.locks = False, fcntl is not None
-        self._folder = self._scenes = -1
+    output: Path
+    warn: Callable[[str], None]
+    alone: bool = False
+    locks: bool = fcntl is not None
+    _folder: int = -1  # opened
+    _scenes: int = -1  # the file of locks, opened
 
     def __enter__(self) -> FolderLock:
         try:
@@ -104,7 +108,7 @@ class FolderLock:
             except OSError:
                 self.locks = False
         if not self.locks:
-            self._warn(f"{self.output}: no locks on this file system; make sure that no other run writes there")
+            self.warn(f"{self.output}: no locks on this file system; make sure that no other run writes there")
 
     def _try_lock(self, kind: int) -> bool:
         try:
@@ -144,33 +148,32 @@ class FolderLock:
                     fcntl.flock(self._folder, fcntl.LOCK_SH)
         self.alone = False
 
-    def claim(self, name: str) -> bool:
-        """Claim a scene; return False where another process has it."""
-        return self._lock_byte(_byte(name), "LOCK_EX", "LOCK_NB")
-
-    def release(self, name: str) -> None:
-        """Release a scene."""
-        self._lock_byte(_byte(name), "LOCK_UN")
-
-    @contextlib.contextmanager
-    def reporting(self) -> Iterator[None]:
-        """Hold the lock of the report."""
-        self._lock_byte(_REPORT_BYTE, "LOCK_EX")
-        try:
-            yield
-        finally:
-            self._lock_byte(_REPORT_BYTE, "LOCK_UN")
-
-    def _lock_byte(self, byte: int, *how: str) -> bool:
+    def claim(self, name: str, wait: bool = False) -> bool:
+        """Claim a scene, or the report, which has no name; return False where another process has it."""
         if self._scenes < 0:
             return True
         try:
-            fcntl.lockf(self._scenes, sum(getattr(fcntl, name) for name in how), 1, byte)
+            fcntl.lockf(self._scenes, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB), 1, _byte(name))
         except (BlockingIOError, PermissionError):
             return False
         except OSError:  # no such locks here
             return True
         return True
+
+    def release(self, name: str) -> None:
+        """Release a scene, or the report."""
+        if self._scenes >= 0:
+            with contextlib.suppress(OSError):
+                fcntl.lockf(self._scenes, fcntl.LOCK_UN, 1, _byte(name))
+
+    @contextlib.contextmanager
+    def reporting(self) -> Iterator[None]:
+        """Hold the lock of the report."""
+        self.claim(_REPORT, wait=True)
+        try:
+            yield
+        finally:
+            self.release(_REPORT)
 
     def last(self) -> bool:
         """Return True where all other processes have left; from then on the folder is locked against new ones."""
@@ -182,7 +185,9 @@ class FolderLock:
 
 
 def _byte(name: str) -> int:
-    """Return the byte of the file of locks for a scene."""
+    """Return the byte of the file of locks for a scene, or for the report."""
+    if name == _REPORT:
+        return 0
     return 1 + int.from_bytes(hashlib.sha256(name.encode("utf-8", "surrogateescape")).digest()[:7], "big")
 
 
@@ -237,10 +242,9 @@ def check_folder(output: Path, text: str, overwrite: bool) -> None:
         return
     if (reason := refusal(output, text)) and not overwrite:
         raise ConfigError(f"{output}: {reason}; choose another --output, or --overwrite it")
-    if not saved_config(output).startswith(TITLE) and not holds_results(output):
-        foreign = [name for name in (RUN_FILE, *REPORT_FILES, LEGEND_FILE) if os.path.lexists(output / name)]
-        if foreign:
-            raise ConfigError(f"{output}: {not_ours(foreign)}")
+    foreign = [name for name in (RUN_FILE, *REPORT_FILES, LEGEND_FILE) if os.path.lexists(output / name)]
+    if foreign and not saved_config(output).startswith(TITLE) and not holds_results(output):
+        raise ConfigError(f"{output}: {not_ours(foreign)}")
 
 
 def refusal(folder: Path, text: str) -> str:

@@ -18,13 +18,13 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from depthcli.core.errors import InputError, OutputError
 from depthcli.io.formats.files import file_states, flush, flush_all, open_regular, remove_temporaries, write_text
-from depthcli.run.json_csv import Row, to_json, to_json_line
-from depthcli.show.table import to_csv
+from depthcli.show.table import Row, to_csv, to_json
 
 REPORT_FILES = ("report.json", "report.csv")
 RECORD_FILE = "record.json"
@@ -80,8 +80,8 @@ def digest_and_state(path: Path) -> tuple[str, object]:
 
 def digests_below(folder: Path) -> dict[str, str]:
     """Return path below ``folder`` -> digest of every file in it."""
-    made = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {path.relative_to(folder).as_posix(): file_digest(path) for path in made}
+    files = filter(Path.is_file, sorted(folder.rglob("*")))
+    return {path.relative_to(folder).as_posix(): file_digest(path) for path in files}
 
 
 def write_record(folder: Path, record: Record) -> None:
@@ -99,7 +99,7 @@ def read_record(folder: Path, name: str = RECORD_FILE) -> Record | None:
         record = Record(**content)
     except TypeError:
         return None
-    return record if all(is_inside(name) for name in record.files) else None
+    return record if all(map(is_inside, record.files)) else None
 
 
 def _check(content: object) -> str:
@@ -119,7 +119,7 @@ def records_below(folder: Path, run: str) -> Iterator[Record]:
 
 def is_inside(name: str) -> bool:
     """Return True for a relative path, with ``/``, that stays within its folder."""
-    return not any(part in ("", ".", "..") or "\0" in part for part in name.split("/"))
+    return {"", ".", ".."}.isdisjoint(name.split("/")) and "\0" not in name
 
 
 def read_text(path: Path) -> str:
@@ -160,8 +160,8 @@ def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -
     folder above: a power cut before costs these results alone.
     """
     write_record(made, record)
-    above = [path for path in (folder.parent,) if path.is_dir()]  # of the results before
-    flush_all([*(made / name for name in (*record.files, RECORD_FILE)), *_folders(made, record), *above])
+    above = [folder.parent] if folder.parent.is_dir() else []  # of the results before
+    flush_all([*map(made.joinpath, [*record.files, RECORD_FILE]), *_folders(made, record), *above])
     earlier = read_record(folder)
     if earlier is not None and earlier.run != record.run and not overwrite:
         raise OutputError(f"{folder}: {OTHER_RUN}")
@@ -213,7 +213,7 @@ def remove_results(folder: Path) -> None:
             (folder / name).unlink(missing_ok=True)
             folders.update(folder / parent for parent in Path(name).parents)
         (folder / CLAIM_FILE).unlink(missing_ok=True)
-        for each in sorted(folders, key=lambda path: -len(path.parts)):
+        for each in sorted(folders, reverse=True):  # inner ones first
             with contextlib.suppress(OSError):  # it is not empty
                 each.rmdir()
         if read_record(folder) is not None:
@@ -259,20 +259,23 @@ def _foreign_files(folder: Path, files: Mapping[str, str]) -> list[str]:
 
     A file with the same content counts as ours: nothing is lost. So do the results of a scene whose record was lost.
     """
-    claimed = _claims(folder)
-    there = {name: file_digest(folder / name) for name in files if os.path.lexists(folder / name)}
-    names = [name for name, content in there.items() if name not in claimed and content != files[name]]
-    known = claimed or any(read_record(folder, name) is not None for name in (RECORD_FILE, CLAIM_FILE))
-    if not known and not any(content == files[name] for name, content in there.items()):
+    claimed, names, is_ours = _claims(folder), list[str](), False
+    for name, content in files.items():
+        if os.path.lexists(folder / name):
+            if file_digest(folder / name) == content:
+                is_ours = True
+            elif name not in claimed:
+                names.append(name)
+    if not is_ours and read_record(folder) is None and read_record(folder, CLAIM_FILE) is None:
         names += [name for name in (RECORD_FILE, CLAIM_FILE) if os.path.lexists(folder / name)]  # not a damaged record
     return names
 
 
 def write_report(folder: Path, command: str, run: str) -> list[Row]:
     """Write the report of all scenes of a run that have a record, and return its rows; OutputError where impossible."""
-    rows = sorted((record.row for record in records_below(folder, run)), key=lambda row: str(row["scene"]))
+    rows = [record.row for record in sorted(records_below(folder, run), key=attrgetter("scene"))]
     document = report_document(command, rows)
-    lines = ",\n  ".join(map(to_json_line, rows))
+    lines = ",\n  ".join(to_json(row, indent=None).rstrip() for row in rows)
     text = to_json(document | {"scenes": []}).replace('"scenes": []', f'"scenes": [\n  {lines}\n ]')
     write_text(folder / REPORT_FILES[0], text)
     write_text(folder / REPORT_FILES[1], to_csv(rows))

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,19 +26,22 @@ from depthcli.run.cluster import compute_on_cluster
 from depthcli.run.console import Reporter, WarningCounts
 from depthcli.run.folder import FOLDER_FILES, FolderLock
 from depthcli.run.job import Execution, Job, SceneT
-from depthcli.run.json_csv import Row
 from depthcli.run.records import (
     OTHER_RUN,
+    digest,
     digest_and_state,
     discard,
     hidden_folder,
     is_gone,
+    is_inside,
     read_record,
     remove_leftovers,
     write_record,
     write_report,
 )
-from depthcli.run.workers import GOES_ON, Task, Work, compute_on_this_machine
+from depthcli.run.scene import GOES_ON, Task, Work
+from depthcli.run.workers import compute_on_this_machine
+from depthcli.show.table import Row
 
 # Digests that are remembered: calibrations and videos belong to several scenes that follow each other.
 _MAX_REMEMBERED = 16
@@ -64,11 +68,11 @@ def run_scenes(
     IncompleteError
         Everything was computed, but the report cannot be written; or the connection to the scheduler was lost.
     """
-    own, plan = how.own(scenes), Plan(job, scenes, output, how)
-    plan.check_names(own)
+    plan = Plan(job, scenes, output, how)
+    plan.check_names()
     with FolderLock(output, reporter.info) as lock:
-        lock.set_up(plan.work.text, how.overwrite)
-        return _Run(plan, own, lock, reporter).rows_of_all()
+        lock.set_up(plan.text, how.overwrite)
+        return _Run(plan, lock, reporter, WarningCounts(reporter)).rows_of_all()
 
 
 class Plan:
@@ -79,17 +83,19 @@ class Plan:
         if loaded:
             plugins = used_plugins(job.config) | layout_plugins(scenes) | plugins_of([type(job)])
             plugins |= format_plugins(file for scene in scenes for file in scene.input_files.values())
-        self.work, self.output = Work(job, how, frozenset(plugins)), output
-        self.identity = self.work.identity
+        self.work, self.output, self.scenes = Work(job, how, frozenset(plugins)), output, how.own(scenes)
+        self.names = {scene.name for scene in self.scenes}
+        self.text = self.work.text  # of run.yaml
+        self.identity = digest(self.text.encode())
         self.workspace = hidden_folder(output)
         self._shared = used_files(job.config)  # files that the config names, of every scene
         self._digest = lru_cache(maxsize=_MAX_REMEMBERED)(digest_and_state)
 
-    def check_names(self, scenes: Sequence[Any]) -> None:
+    def check_names(self) -> None:
         """Raise ConfigError if a name cannot name a folder, or the folder is a link or contains the scene's input."""
-        for scene in scenes:
+        for scene in self.scenes:
             parts = scene.name.split("/")
-            if any(not part or part.startswith(".") or "\0" in part for part in parts):
+            if not is_inside(scene.name) or "/." in f"/{scene.name}":
                 problem = "is no name for a folder of results; choose another name for the scene"
                 raise ConfigError(f"{scene.name!r} {problem}")
             if parts[0] in FOLDER_FILES:
@@ -117,41 +123,51 @@ class Plan:
         return {} if scene.problem else self.work.job.files(scene) | self._shared
 
 
+@dataclass(eq=False)
 class _Run:
-    """The scenes of one call: rows of the finished scenes, tasks for the others, their results."""
+    """The scenes of one call, from their records to the report."""
 
-    def __init__(self, plan: Plan, scenes: Sequence[Any], lock: FolderLock, reporter: Reporter) -> None:
-        self.plan, self.scenes, self.lock, self.reporter = plan, scenes, lock, reporter
-        self.warnings = WarningCounts(reporter)
-        self.rows: dict[str, Row] = {}
-        self.elsewhere: dict[str, Task] = {}  # scene -> task, of those that other processes compute
-        # Why the run ended before all scenes were computed, or without its report:
-        self.first_failure = False  # with ``fail_fast``
-        self.disk_full = ""  # the disk, and how much is free there
-        self.no_report = ""  # why it cannot be written
+    plan: Plan
+    lock: FolderLock
+    reporter: Reporter
+    warnings: WarningCounts
+    rows: dict[str, Row] = field(default_factory=dict)  # of the finished scenes
+    elsewhere: dict[str, Task] = field(default_factory=dict)  # scene -> task, of those that other processes compute
+    # Why the run ended before all scenes were computed:
+    first_failure: bool = False  # with ``fail_fast``
+    disk_full: str = ""  # the disk, and how much is free there
 
     def rows_of_all(self) -> tuple[list[Row], list[str]]:
         """Compute unfinished scenes, write the report, and return the same as ``run_scenes``."""
-        command = self.plan.work.job.command
-        computed = self._computed(self._tasks())
+        plan, work, reporter = self.plan, self.plan.work, self.reporter
+        tasks, no_report = self._tasks(), ""
+        if work.how.scheduler is not None and tasks:
+            computed = compute_on_cluster(self._claimed(tasks), work, reporter, plan.workspace)
+        else:
+            computed = compute_on_this_machine(self._claimed(tasks), work, reporter, [task.scene for task in tasks])
+        counting = reporter.counting(len(plan.scenes), len(self.rows), work.job.command)
         try:
-            with self.reporter, contextlib.closing(computed):
-                self.reporter.start(len(self.scenes), len(self.rows), command)
+            with counting, contextlib.closing(computed):
                 self._collect(computed)
         finally:
-            discard(self.plan.workspace)
+            discard(plan.workspace)
             with self.lock.reporting():
                 self._take_from_others()
                 try:
-                    self._tell_of_gone(write_report(self.plan.output, command, self.plan.identity))
-                    self._flush()
+                    self._tell_of_gone(write_report(plan.output, work.job.command, plan.identity))
+                    # The last scenes are on the disk under their names before the run ends.
+                    flush_all({plan.output, *((plan.output / name).parent for name in self.rows)})
                 except OutputError as error:  # a scene that cannot be written reports that itself
-                    self.no_report = str(error)
+                    no_report = str(error)
+                except OSError as error:
+                    no_report = f"{plan.output}: cannot be written ({error.strerror or error})"
             self.warnings.close()
             if self.lock.last():
-                remove_leftovers(self.plan.output)
+                remove_leftovers(plan.output)
         self._sum_up()
-        return [self.rows[scene.name] for scene in self.scenes if scene.name in self.rows], list(self.elsewhere)
+        if no_report:
+            raise IncompleteError(no_report)
+        return [self.rows[scene.name] for scene in plan.scenes if scene.name in self.rows], list(self.elsewhere)
 
     def _tasks(self) -> list[Task]:
         """Return the tasks of the scenes that are not done; take the rows of the others.
@@ -159,12 +175,12 @@ class _Run:
         ConfigError where results of another run, or of another input of the same name, would be replaced.
         """
         plan, replaces = self.plan, self.plan.work.how.overwrite
-        records = {scene.name: read_record(plan.output / scene.name) for scene in self.scenes}
+        records = {scene.name: read_record(plan.output / scene.name) for scene in plan.scenes}
         for name, known in records.items():  # before any file is digested, which can take long
             if known is not None and known.run != plan.identity and known.row.get("status") == "done" and not replaces:
                 raise ConfigError(f"{plan.output / name}: {OTHER_RUN}")
         tasks = []
-        for number, scene in enumerate(self.scenes):
+        for number, scene in enumerate(plan.scenes):
             task, known = plan.task(scene, number), records[scene.name]
             if known is not None and task.is_done(known):
                 if known.row.get("source") != task.source:  # the inputs have moved
@@ -180,15 +196,8 @@ class _Run:
                 )
             tasks.append(task)
         if self.rows:
-            self.reporter.info(f"{len(self.rows)} of {len(self.scenes)} scenes are done already")
+            self.reporter.info(f"{len(self.rows)} of {len(plan.scenes)} scenes are done already")
         return tasks
-
-    def _computed(self, tasks: Sequence[Task]) -> Generator[Row, None, None]:
-        """Return an iterator over the rows of the tasks, computed by the options."""
-        todo, plan = self._claimed(tasks), self.plan
-        if plan.work.how.scheduler is not None and tasks:
-            return compute_on_cluster(todo, plan.work, self.reporter, plan.workspace)
-        return compute_on_this_machine(todo, plan.work, self.reporter, [task.scene for task in tasks])
 
     def _claimed(self, tasks: Sequence[Task]) -> Iterator[Task]:
         """Yield the tasks that no other process computes, or has computed since."""
@@ -235,17 +244,10 @@ class _Run:
                 self._take(known.row if known and of_task else task.failed("its process ended; run the command again"))
                 del self.elsewhere[name]
 
-    def _flush(self) -> None:
-        """Wait until the last scenes are on the disk under their names; OutputError where it refuses them."""
-        try:
-            flush_all({self.plan.output, *((self.plan.output / name).parent for name in self.rows)})
-        except OSError as error:
-            raise OutputError(f"{self.plan.output}: cannot be written ({error.strerror or error})") from error
-
     def _tell_of_gone(self, rows: Iterable[Row]) -> None:
         """Tell of scenes of earlier calls whose input was removed: the report and the folder still have them."""
-        here = {scene.name for scene in self.scenes}
-        if gone := [row["scene"] for row in rows if row["scene"] not in here and is_gone(str(row.get("source")))]:
+        others = [row for row in rows if row["scene"] not in self.plan.names]
+        if gone := [row["scene"] for row in others if is_gone(str(row.get("source")))]:
             more = f" and {len(gone) - 1} more" if len(gone) > 1 else ""
             self.reporter.info(
                 f"{self.plan.output}: the report still has {gone[0]}{more}, without an input now; to drop results, "
@@ -259,7 +261,7 @@ class _Run:
     def _sum_up(self) -> None:
         """Report scenes that were left out, or raise for them."""
         n_failed = sum(row["status"] == "failed" for row in self.rows.values())
-        n_all = len({scene.name for scene in self.scenes})
+        n_all = len(self.plan.names)
         left = n_all - len(self.rows) - len(self.elsewhere)
         counts = f"{len(self.rows) - n_failed} of {n_all} scenes done, {n_failed} failed, {left} not computed"
         if self.disk_full:
@@ -268,5 +270,3 @@ class _Run:
             self.reporter.info(f"stopped at the first failure, {counts}; {GOES_ON}")
         if self.elsewhere:
             self.reporter.info(f"{len(self.elsewhere)} scenes are being computed by other processes")
-        if self.no_report:
-            raise IncompleteError(self.no_report)

@@ -1,10 +1,11 @@
-"""Tables: the columns of a row, and their one renderer to aligned text, Markdown, LaTeX and CSV."""
+"""Rows of reports as JSON and CSV; tables: columns, and one renderer to aligned text, Markdown, LaTeX and CSV."""
 
 from __future__ import annotations
 
 import csv
 import io
 import itertools
+import json
 import math
 import os
 import re
@@ -13,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import itemgetter
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 from urllib.parse import quote
 
 from depthcli.core.text import csv_cell, one_line
@@ -28,6 +29,10 @@ _LATEX = {char: "\\" + char for char in "&%$#_{}"}
 _LATEX |= {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 _LATEX |= {"<": r"\textless{}", ">": r"\textgreater{}"}
 _LATEX |= {"[": "{[}", "]": "{]}"}  # behind the end of a row they would be its distance to the next
+
+
+Row: TypeAlias = dict[str, Any]
+"""One row of a report: column -> JSON value."""
 
 
 class Number(str):
@@ -223,6 +228,37 @@ FORMATS: dict[str, Callable[[Sequence[Table]], str]] = {
 """Name of a file format -> function that writes tables in it."""
 
 
+def share(values: Any) -> float:
+    """Return the mean of an array, such as the share of pixels that are True, as in reports."""
+    return round(float(values.mean()), 6)
+
+
+def median(values: Any) -> float | None:
+    """Return the median of the numbers of an array that are not NaN, as in reports; None where there is none."""
+    known = values[values == values]  # this module is imported before numpy
+    if not known.size:
+        return None
+    known.sort()
+    return round(float(known[(known.size - 1) // 2] + known[known.size // 2]) / 2, 4)
+
+
+def to_json(value: object, indent: int | None = 1) -> str:
+    """Return ``value`` as JSON that ends with a line break; numbers that are not finite become null.
+
+    Bytes of file names that are not UTF-8 are escaped, and can be read back; ``indent`` None: on one line.
+    """
+    form: dict[str, Any] = {"indent": indent, "default": lambda number: number.item()}  # of numpy
+    text = json.dumps(value, ensure_ascii=False, **form)
+    if "NaN" in text or "Infinity" in text:
+        value = json.loads(text, parse_constant=lambda constant: None)
+        text = json.dumps(value, ensure_ascii=False, **form)
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError:
+        text = json.dumps(value, **form)
+    return f"{text}\n"
+
+
 def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return rows as CSV with a header; columns are in the order of their first appearance.
 
@@ -233,7 +269,8 @@ def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
         flat.append({})
         for key, value in row.items():
             if isinstance(value, Mapping):
-                flat[-1].update({f"{key}_{k}": v for k, v in value.items()})
+                for inner, part in value.items():
+                    flat[-1][f"{key}_{inner}"] = part
             else:
                 flat[-1][key] = "; ".join(map(str, value)) if isinstance(value, list) else value
     keys = list(dict.fromkeys(itertools.chain(*flat)))

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.text import side_and_distance
 from depthcli.core.volumes import ENDS, PLANES, Grid
-from depthcli.show.draw import draw, draw_text
-from depthcli.show.view import Picture, View
+from depthcli.show.view import Picture, View, draw, draw_text
 
 _MAX_SHOWN_ERROR = 10.0  # mm; this and more is dark red
 _SIDE, _MARGIN, _LINE = 300, 24, 22  # pixels: longest side of a slice, space around it for letters, line of text

@@ -33,7 +33,7 @@ from matplotlib.patches import Patch
 
 import depthcli
 from depthcli.cli import main as run
-from depthcli.show.draw import KIND_COLORS
+from depthcli.show.view import KIND_COLORS
 
 FOLDER = _env.ROOT / "docs" / "static"
 SCRATCH = tempfile.TemporaryDirectory()

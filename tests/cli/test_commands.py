@@ -22,14 +22,12 @@ from PIL import Image
 import depthcli
 from depthcli.cli import command_of, main
 from depthcli.commands import config_model, find, grouped_names, help_of, own_names, text_of
-from depthcli.commands._options import PairOptions, RunOptions
+from depthcli.commands._options import PairOptions, RunOptions, parse_bytes
 from depthcli.commands._run import prepared
-from depthcli.commands._shared_options import parse_bytes
-from depthcli.core.config_file import load_config
+from depthcli.core.config_file import find_config, load_config
 from depthcli.evaluation.sweeps import parse_axes
 from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.run.presets import find_config
 from tests.command_line import run, wait_for
 
 FAST = "opencv-bm"
@@ -208,7 +206,7 @@ def test_a_bug_and_ctrl_c_have_their_exit_codes(error, code: int, said: str, mon
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr("depthcli.problems.inputs.find_config", fail)
+    monkeypatch.setattr("depthcli.core.config_file.find_config", fail)
     assert run("stereo", FAST, "-i", tmp_path, "-o", tmp_path / "x") == code
     err = capsys.readouterr().err
     assert said in err and ("ZeroDivisionError" in err) == (code == 1)

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from depthcli.cli import main
+from depthcli.core.config_file import find_config
 from depthcli.core.errors import ConfigError
 from depthcli.core.yaml_source import read_config
 from depthcli.evaluation.sweeps import combinations, effects, folder_names, parse_axes, value_text
 from depthcli.problems.stereo import StereoConfig
 from depthcli.run.folder import FolderLock
-from depthcli.run.presets import find_config
 from tests.command_line import refused
 
 

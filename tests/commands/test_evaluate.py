@@ -30,8 +30,7 @@ from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.report.document import Document
 from depthcli.report.tables import chosen_text, headline_text, report_tables
 from depthcli.run.records import Record, write_record
-from depthcli.show.draw import draw, kind_colors
-from depthcli.show.view import EMPTY, NO_VALUE, RIGHT, WRONG, View
+from depthcli.show.view import EMPTY, NO_VALUE, RIGHT, WRONG, View, draw, kind_colors
 from tests.command_line import contents, refused
 from tests.command_line import run as run_command
 from tests.scenes import true

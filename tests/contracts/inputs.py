@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.commands import config_model
-from depthcli.core.config_file import load_config
+from depthcli.core.config_file import find_config, load_config
 from depthcli.core.frames import RgbdFrame, SparseFrame
 from depthcli.methods.fusion.choice import Proposals
 from depthcli.methods.stereo.volume import StereoResult
-from depthcli.run.presets import find_config
 from depthcli.simulate.stereo_scenes import SyntheticScene
 from depthcli.testing.inputs import blocky_pair, random_volume
 

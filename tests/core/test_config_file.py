@@ -196,7 +196,7 @@ def test_any_setting_is_applied_or_a_config_error(setting: str):
         assert "--set" in str(error)
 
 
-def test_a_config_is_laid_over_its_base(tmp_path: Path):
+def test_a_config_is_laid_over_its_base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     write(
         tmp_path,
         low="pipeline: local\ncost: {method: census, window: [5, 5]}\noptimization: {method: scanline, p1: 0.7}\n",
@@ -204,7 +204,8 @@ def test_a_config_is_laid_over_its_base(tmp_path: Path):
         top="base: middle.yaml\ncost: {method: rank}\n",
         other="base: low\npipeline: opencv_bm\n",
     )
-    other = load_config(StereoConfig, tmp_path / "other.yaml", find=lambda name: tmp_path / "top.yaml")
+    monkeypatch.setattr("depthcli.core.config_file.find_preset", lambda command, name: tmp_path / "top.yaml")
+    other = load_config(StereoConfig, tmp_path / "other.yaml")
     assert other.model_dump()["pipeline"] == "opencv_bm"  # a file beside the config wins over a preset
     config = load_config(StereoConfig, tmp_path / "top.yaml")
     dumped = config.model_dump(mode="json")
@@ -214,7 +215,9 @@ def test_a_config_is_laid_over_its_base(tmp_path: Path):
     assert "base" not in dump_config(config)
 
 
-def test_mistakes_of_bases_and_of_nested_keys_are_told_where_they_stand(tmp_path: Path):
+def test_mistakes_of_bases_and_of_nested_keys_are_told_where_they_stand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     write(tmp_path, one="base: two\n", two="base: one\n", none="base: nowhere\n", odd="base: [1]\n")
     write(
         tmp_path, wrong="pipeline: local\ncost: {method: census, windw: 3}\n", over="base: wrong\naggregation: cros\n"
@@ -231,7 +234,8 @@ def test_mistakes_of_bases_and_of_nested_keys_are_told_where_they_stand(tmp_path
         with pytest.raises(ConfigError, match=said):
             load_config(StereoConfig, tmp_path / f"{name}.yaml")
     write(tmp_path, low="pipeline: opencv_bm\n", fuse="measures: [{method: census, windw: [5, 5]}]\n")
-    found = load_config(StereoConfig, tmp_path / "none.yaml", find=lambda name: tmp_path / "low.yaml")
+    monkeypatch.setattr("depthcli.core.config_file.find_preset", lambda command, name: tmp_path / "low.yaml")
+    found = load_config(StereoConfig, tmp_path / "none.yaml")
     assert found.pipeline.method_name() == "opencv_bm"
     with pytest.raises(ConfigError, match=r"fuse\.yaml:1: measures\.0\.windw: .*did you mean 'window'"):
         load_config(FuseConfig, tmp_path / "fuse.yaml")

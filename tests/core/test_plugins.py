@@ -11,18 +11,17 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.commands import config_model
+from depthcli.core import config_file as presets
 from depthcli.core import plugins
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.method import Family, used_plugins
-from depthcli.core.plugins import load_plugin, versions_here
-from depthcli.core.registry import registries
+from depthcli.core.plugins import load_plugin, registries, versions_here
 from depthcli.core.yaml_source import parse_config
 from depthcli.evaluation import protocols
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_disparity, read_pfm, read_plane
 from depthcli.problems.stereo import StereoConfig
-from depthcli.run import presets
 from tests.command_line import refused
 
 COSTS = Family.of("depthcli.methods.stereo.cost")

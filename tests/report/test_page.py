@@ -33,8 +33,7 @@ from depthcli.report.contact_sheet import ContactSheet
 from depthcli.report.packing import pack, pack_bytes, thinned, unpack
 from depthcli.report.page import Page
 from depthcli.report.scene_view import slices
-from depthcli.show.draw import kind_colors, map_colors
-from depthcli.show.view import WRONG
+from depthcli.show.view import WRONG, kind_colors, map_colors
 from tests.report.conftest import ODD, SHAPE
 
 

@@ -18,9 +18,8 @@ import numba
 import pytest
 from pydantic import BaseModel
 
-from depthcli.core.context import Context
+from depthcli.core.context import Clock, Context
 from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
-from depthcli.core.result import Clock
 from depthcli.io.formats.files import atomic_path
 from depthcli.io.scenes import Scene
 from depthcli.run import records, workers
@@ -28,7 +27,7 @@ from depthcli.run.console import Reporter
 from depthcli.run.job import Execution, Job, Outcome
 from depthcli.run.records import RECORD_FILE, discard, hidden_folder, read_report
 from depthcli.run.runner import run_scenes
-from depthcli.run.workers import Task, Work, compute_scene
+from depthcli.run.scene import Task, Work, _keep_only, compute_scene
 from depthcli.show.table import Column, run_table
 from tests.command_line import refused
 
@@ -416,7 +415,7 @@ def test_a_report_that_cannot_be_written_is_told_after_the_work(folder: Folder, 
 
 def test_compilation_is_not_the_method_s_time(monkeypatch: pytest.MonkeyPatch):
     spent = iter([0.0, 1000.0])
-    monkeypatch.setattr("depthcli.core.result.compile_seconds", lambda: next(spent))
+    monkeypatch.setattr("depthcli.core.context.compile_seconds", lambda: next(spent))
     clock = Clock()
     clock.start("stage")
     assert 0 <= clock.seconds["stage"] < 1
@@ -586,7 +585,7 @@ def test_files_are_kept_by_their_paths_and_memory_is_shared(tmp_path: Path):
     (tmp_path / "frame").mkdir()
     for name in ("frame/a.txt", "a.txt"):
         (tmp_path / name).touch()
-    workers._keep_only(("frame/*",), tmp_path)
+    _keep_only(("frame/*",), tmp_path)
     assert (tmp_path / "frame/a.txt").exists() and not (tmp_path / "a.txt").exists()
     assert Execution(jobs=2, max_memory=100).memory_each() == 50
 

@@ -22,16 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.registry import Registry, registered_name
+from depthcli.core.plugins import Registry, registered_name
 from depthcli.evaluation.curves import ConfidenceCurve, is_probability, reliability, sparsifications
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.scores import MapResult, Metric, Score, mean_of_scenes, pooled
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.images import read_color8
 from depthcli.io.scenes import Scene
-from depthcli.show.draw import KIND_COLORS, draw
 from depthcli.show.table import Table
-from depthcli.show.view import Palette, Picture, SliceAxis, View, pixel_kinds
+from depthcli.show.view import KIND_COLORS, Palette, Picture, SliceAxis, View, draw, pixel_kinds
 
 
 @dataclass(frozen=True, eq=False)

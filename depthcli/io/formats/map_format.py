@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.core.plugins import Plugin, plugins_of
-from depthcli.core.registry import Registry, registered_name
+from depthcli.core.plugins import Plugin, Registry, plugins_of, registered_name
 from depthcli.io.formats.files import open_regular, shown
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 

@@ -24,8 +24,7 @@ from typing import Any, Generic, NamedTuple, TypeVar, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.plugins import Plugin, plugins_of
-from depthcli.core.registry import Registry, registered_name
+from depthcli.core.plugins import Plugin, Registry, plugins_of, registered_name
 from depthcli.core.text import short
 from depthcli.core.yaml_source import read_config
 from depthcli.io.formats.files import naming, read_bytes

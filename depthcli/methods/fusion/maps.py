@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.core.context import Clock
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.method import ConfigModel
-from depthcli.core.result import Clock
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.fusion.choice import Choice, Proposals
 from depthcli.methods.fusion.choice.energy import LeastEnergyChoice

@@ -12,11 +12,10 @@ from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from depthcli.algorithms.pixel_network import TrainedNetwork
-from depthcli.core.context import Context
+from depthcli.core.context import Clock, Context
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import ConfigModel
-from depthcli.core.result import Clock
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.confidence import MeasureName, confidence_maps, measure_name
 from depthcli.methods.fusion.blend import (

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.error_table import ErrorTable
 from depthcli.algorithms.pixel_network import TrainedNetwork, log_odds, of_first
-from depthcli.core.context import Context
+from depthcli.core.context import Clock, Context
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.core.result import Clock, Result
+from depthcli.core.result import Result
 from depthcli.methods.given_maps import _planes
 from depthcli.methods.given_maps._planes import ALONE, INPUTS, ONE_VIEW, OTHERS, Evidence
 from depthcli.methods.stereo.refinement.background_fill import fill_background

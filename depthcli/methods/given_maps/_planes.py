@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.core.context import Context
+from depthcli.core.context import Clock, Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
-from depthcli.core.result import Clock
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion.map_costs import (

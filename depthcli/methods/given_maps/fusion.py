@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import RegionPixels
 from depthcli.algorithms.segmentation.felzenszwalb import Felzenszwalb
+from depthcli.core.context import Clock
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.core.result import Clock
 from depthcli.methods.fusion.choice.network import MAX_MAPS as MAX_PROPOSALS
 from depthcli.methods.fusion.choice.network import likeliest
 from depthcli.methods.given_maps import Judged, Networks, judged_maps, odds_of, promised_of, with_reasons

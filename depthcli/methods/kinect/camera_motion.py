@@ -20,7 +20,7 @@ _REPROJECTION = 1.0  # pixels, of a corner that agrees
 
 
 @dataclass(frozen=True)
-class View:
+class MovedView:
     """What the frame before shows in the view of the next one."""
 
     source: Ints  # (H, W), row x width + column in the frame before; 0 where nothing of it is seen
@@ -32,7 +32,7 @@ class View:
 
 def view_after(
     motion: Doubles, color: Image8, disparity: Floats, camera: Intrinsics, fb: float, max_step: float
-) -> View:
+) -> MovedView:
     """Project a frame into the view after a motion; of several pixels in one place the nearest is seen.
 
     Whole pixels are carried, so that an edge is up to half a pixel off, which would add up from frame to frame: pixels
@@ -55,7 +55,7 @@ def view_after(
     steps = cv2.morphologyEx(np.nan_to_num(values), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
     size = 2 * _UNCERTAIN - 1  # the gradient reaches one pixel farther
     edges = cv2.dilate(((source < 0) | (steps > max_step)).astype(np.uint8), np.ones((size, size), np.uint8))
-    return View(np.maximum(source, 0), source >= 0, values, np.asarray(shown, np.uint8), np.asarray(edges == 0))
+    return MovedView(np.maximum(source, 0), source >= 0, values, np.asarray(shown, np.uint8), np.asarray(edges == 0))
 
 
 def displacement(motion: Doubles, disparity: Floats, camera: Intrinsics, fb: float) -> float:

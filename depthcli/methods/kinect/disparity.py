@@ -9,9 +9,10 @@ import numpy as np
 
 from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA
 from depthcli.core.cameras.triangulation import depth_of_disparity
+from depthcli.core.context import Clock
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus, Floats, Image8, Mask
-from depthcli.core.result import Clock, DepthResult
+from depthcli.core.result import DepthResult
 from depthcli.methods.kinect.color import frame_lab
 from depthcli.methods.kinect.depth_edges import correct_probability
 from depthcli.methods.kinect.gap_limits import max_disparity_in_gaps

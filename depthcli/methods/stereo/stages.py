@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.core.context import Context
+from depthcli.core.context import Clock, Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.method import ConfigModel
-from depthcli.core.result import Clock
 from depthcli.methods.confidence import MeasureName, confidence_maps
 from depthcli.methods.stereo.aggregation import Aggregation
 from depthcli.methods.stereo.cost import Cost

@@ -13,10 +13,10 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.color_and_infrared import RgbIrFrame
+from depthcli.core.context import Clock
 from depthcli.core.frames import SparseFrame, StereoPair
 from depthcli.core.maps import Floats, Image8
 from depthcli.core.method import ConfigModel
-from depthcli.core.result import Clock
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.fusion.pipeline import Fusion

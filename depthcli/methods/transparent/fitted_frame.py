@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
+from depthcli.core.context import Clock
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthMap, DepthStatus, Floats, Mask
-from depthcli.core.result import Clock, DepthResult
+from depthcli.core.result import DepthResult
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
 
 # Values that the presets were published with; nothing in the repository varies them.

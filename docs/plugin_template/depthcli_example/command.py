@@ -13,16 +13,15 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.commands import command
-from depthcli.commands._options import PairOptions, ScoredRunOptions
+from depthcli.commands._options import ConfigArgument, PairOptions, ScoredRunOptions, SetOption
 from depthcli.commands._run import find_scenes, run_job
-from depthcli.commands._shared_options import ConfigArgument, SetOption
+from depthcli.core.config_file import config_with_options
 from depthcli.core.context import Context
 from depthcli.core.method import RootConfig
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair
-from depthcli.problems.inputs import config_with_options
 from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.job import Outcome
 from depthcli.show.table import SIZE

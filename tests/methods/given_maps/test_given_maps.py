@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.pixel_network import TILE
+from depthcli.core.context import Clock
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.core.result import Clock
 from depthcli.methods import given_maps
 from depthcli.methods.given_maps import _planes
 from depthcli.methods.given_maps.fusion import fuse

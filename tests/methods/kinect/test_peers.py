@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from depthcli.core.context import Clock
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.core.result import Clock
 from depthcli.methods.kinect.disparity import nearest_fill, refined_depth
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
 from depthcli.methods.kinect.pipeline.inpaint import Inpaint

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from depthcli.core.context import Clock
 from depthcli.core.method import Family
-from depthcli.core.result import Clock
 from depthcli.core.volumes import RegisteredPair
 from depthcli.evaluation.statistics import correlation, ranks
 from depthcli.methods.registration.pipeline.search import isotonic, monotone

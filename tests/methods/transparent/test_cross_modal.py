@@ -8,9 +8,9 @@ from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.color_and_infrared import RgbIrFrame
+from depthcli.core.context import Clock
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.result import Clock
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.methods.stereo.volume import CostVolume

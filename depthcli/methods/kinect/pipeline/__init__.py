@@ -6,10 +6,11 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Annotated, Any, ClassVar
 
+from depthcli.core.context import Clock
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import Floats
 from depthcli.core.method import Method, method_of
-from depthcli.core.result import Clock, DepthResult
+from depthcli.core.result import DepthResult
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 
 

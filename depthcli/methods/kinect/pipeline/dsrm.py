@@ -12,9 +12,10 @@ from pydantic import Field
 from depthcli.algorithms.filters import joint_bilateral_fill
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.algorithms.segmentation.statistical_region_merging import StatisticalRegionMerging
+from depthcli.core.context import Clock
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus, Floats, Ints
-from depthcli.core.result import Clock, DepthResult
+from depthcli.core.result import DepthResult
 from depthcli.methods.kinect.depth_edges import near_side
 from depthcli.methods.kinect.disparity import Measurement
 from depthcli.methods.kinect.layers import Layer, Polynomial, RefinedDisparity, join_segments

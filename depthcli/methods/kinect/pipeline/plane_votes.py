@@ -9,9 +9,10 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
+from depthcli.core.context import Clock
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import Floats, Mask
-from depthcli.core.result import Clock, DepthResult
+from depthcli.core.result import DepthResult
 from depthcli.methods.kinect import candidates
 from depthcli.methods.kinect.candidates import AGREEMENT, LEVELS, OPENING_LEVEL, ExtraVotes, Observed, Voters
 from depthcli.methods.kinect.disparity import Measurement, nearest_fill, refined_depth

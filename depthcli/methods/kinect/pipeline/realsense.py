@@ -7,9 +7,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from depthcli.core.context import Clock
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus, Floats, Image8
-from depthcli.core.result import Clock, DepthResult
+from depthcli.core.result import DepthResult
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 from depthcli.methods.kinect.pipeline import SequencePipeline

@@ -11,11 +11,12 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.polynomials import surface_at
 from depthcli.core.cameras.camera import typical_intrinsics
+from depthcli.core.context import Clock
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus, Doubles, Floats, Image8, Ints, Mask
-from depthcli.core.result import Clock, DepthResult
+from depthcli.core.result import DepthResult
 from depthcli.kernels.jit import jit, run_bands
-from depthcli.methods.kinect.camera_motion import View, displacement, estimated_motion, view_after
+from depthcli.methods.kinect.camera_motion import MovedView, displacement, estimated_motion, view_after
 from depthcli.methods.kinect.disparity import Measurement
 from depthcli.methods.kinect.gap_filling import passed
 from depthcli.methods.kinect.layers import SHADOW_PENALTY, Layer
@@ -108,7 +109,7 @@ class Sequence(SequencePipeline, Dsrm):
 
     def _followed(
         self, frame: RgbdFrame, measurement: Measurement, state: SequenceState
-    ) -> tuple[str, View | None, Mask]:
+    ) -> tuple[str, MovedView | None, Mask]:
         """Return ``still``, ``pose`` or ``estimated``, the previous frame's view, and the pixels that agree with it.
 
         The view is None where the camera has not moved, or where fewer pixels would agree if it had.

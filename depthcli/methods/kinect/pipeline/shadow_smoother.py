@@ -8,8 +8,9 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
+from depthcli.core.context import Clock
 from depthcli.core.frames import RgbdFrame
-from depthcli.core.result import Clock, DepthResult
+from depthcli.core.result import DepthResult
 from depthcli.methods.kinect.color import frame_lab
 from depthcli.methods.kinect.depth_edges import near_side
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from depthcli.algorithms.resampling import gaussian, resample
-from depthcli.core.result import Clock
+from depthcli.core.context import Clock
 from depthcli.core.volumes import RegisteredPair
 from depthcli.kernels.jit import n_threads
 from depthcli.methods.registration.feature import Feature

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
-from depthcli.core.context import Context
+from depthcli.core.context import Clock, Context
 from depthcli.core.frames import Image, StereoPair
-from depthcli.core.result import Clock
 from depthcli.methods.stereo.adjustment.noise import denoised
 from depthcli.methods.stereo.adjustment.right_view import (
     BLOCK,

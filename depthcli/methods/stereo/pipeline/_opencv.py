@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.filters import single_thread
+from depthcli.core.context import Clock
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.method import ConfigModel
-from depthcli.core.result import Clock
 from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.methods.stereo.refinement.background_fill import fill_background
 from depthcli.methods.stereo.volume import StereoResult

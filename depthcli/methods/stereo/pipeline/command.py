@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AliasChoices, BeforeValidator, Field, ValidationInfo, field_validator
 
-from depthcli.core.context import Context
+from depthcli.core.context import Clock, Context
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.core.result import Clock
 from depthcli.io.formats.disparity import read_plane
 from depthcli.kernels.jit import n_threads
 from depthcli.methods.stereo.pipeline import StereoPipeline

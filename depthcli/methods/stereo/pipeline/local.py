@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from depthcli.core.context import Context
+from depthcli.core.context import Clock, Context
 from depthcli.core.frames import StereoPair
-from depthcli.core.result import Clock
 from depthcli.methods.stereo.adjustment import AdjustingMatcher, adjusted
 from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.methods.stereo.stages import CostStages

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.core.context import Context
+from depthcli.core.context import Clock, Context
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.core.result import Clock
 from depthcli.kernels.winners import left_right_difference
 from depthcli.methods.stereo.networks import (
     ColorOrder,

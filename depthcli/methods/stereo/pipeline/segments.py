@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from depthcli.core.context import Context
+from depthcli.core.context import Clock, Context
 from depthcli.core.frames import StereoPair
-from depthcli.core.result import Clock
 from depthcli.methods.stereo.adjustment import AdjustingMatcher, adjusted
 from depthcli.methods.stereo.cost import Cost
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll

@@ -12,8 +12,8 @@ from pydantic import BeforeValidator, Field
 from depthcli.algorithms.graph_cut import alpha_expansion, potts_energy
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, SegmentPlanes
 from depthcli.algorithms.regions import RegionPixels, joined_regions
+from depthcli.core.context import Clock
 from depthcli.core.method import ConfigModel
-from depthcli.core.result import Clock
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.boundary import Boundary
 from depthcli.methods.stereo.boundary.gaussian import Gaussian

@@ -13,10 +13,10 @@ from depthcli.algorithms.keypoints import Detection
 from depthcli.algorithms.regions import region_graph
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.algorithms.segmentation.mean_shift import MeanShift
+from depthcli.core.context import Clock
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.method import ConfigModel
-from depthcli.core.result import Clock
 from depthcli.methods.stereo.keypoint_matching import KeyPointMatching, Matches
 from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll

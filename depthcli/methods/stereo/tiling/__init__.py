@@ -14,10 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.context import Context
+from depthcli.core.context import Clock, Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.core.result import Clock
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.stereo.cost._fill import hamming_volume
 from depthcli.methods.stereo.cost.census import Census, census_transform

@@ -11,9 +11,10 @@ from pydantic import Field
 
 from depthcli.algorithms.dense_crf import GaussianKernel, mean_field
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
+from depthcli.core.context import Clock
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import Floats, Mask
-from depthcli.core.result import Clock, DepthResult
+from depthcli.core.result import DepthResult
 from depthcli.methods.transparent.fitted_frame import FittedFrame, fit_frame, inverse_depth, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
 from depthcli.methods.transparent.unreliable import UnreliableRegions

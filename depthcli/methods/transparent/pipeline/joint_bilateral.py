@@ -6,9 +6,10 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.algorithms.filters import joint_bilateral_fill
+from depthcli.core.context import Clock
 from depthcli.core.frames import SparseFrame
 from depthcli.core.method import Odd
-from depthcli.core.result import Clock, DepthResult
+from depthcli.core.result import DepthResult
 from depthcli.methods.transparent.fitted_frame import inverse_depth, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
 from depthcli.methods.transparent.pipeline.nearest import NearestSample, nearest_depth

@@ -7,9 +7,10 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.sample_planes import Samples
+from depthcli.core.context import Clock
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import Floats, Mask
-from depthcli.core.result import Clock, DepthResult
+from depthcli.core.result import DepthResult
 from depthcli.methods.transparent.fitted_frame import inverse_depth, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
 

@@ -8,10 +8,11 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
+from depthcli.core.context import Clock
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import Floats, Image8, Mask
 from depthcli.core.method import ConfigModel
-from depthcli.core.result import Clock, DepthResult
+from depthcli.core.result import DepthResult
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.transparent.fitted_frame import fit_frame, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline

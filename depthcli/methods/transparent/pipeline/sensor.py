@@ -6,8 +6,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from depthcli.core.context import Clock
 from depthcli.core.frames import SparseFrame
-from depthcli.core.result import Clock, DepthResult
+from depthcli.core.result import DepthResult
 from depthcli.methods.kinect.color import frame_lab
 from depthcli.methods.kinect.disparity import noise_level
 from depthcli.methods.kinect.gap_filling import fill_gaps

@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from depthcli.core.context import Context
+from depthcli.core.context import Clock, Context
 from depthcli.core.errors import InputError
-from depthcli.core.result import Clock
 from depthcli.core.text import show_bytes
 from depthcli.device import DeviceArray, Kernels
 from depthcli.kernels.winners import winners

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from depthcli.show.draw import draw, draw_legend, map_colors
-from depthcli.show.view import NO_VALUE, View, bound_range
+from depthcli.show.view import NO_VALUE, View, bound_range, draw, draw_legend, map_colors
 
 
 def confidence(values: np.ndarray) -> np.ndarray:
