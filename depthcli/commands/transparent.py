@@ -4,7 +4,7 @@ Examples:
   depthcli transparent kinect --input frames --output runs/kinect
   depthcli transparent sparse --input frames --output runs/sparse --evaluate
   depthcli transparent sensor --input frames --output runs/sensor
-  depthcli transparent sensor --color c.png --depth d.png --objects m.png -o one
+  depthcli transparent sensor --color c.png --depth d.png --objects m.png -o o
 """
 
 from __future__ import annotations

@@ -522,7 +522,7 @@ def test_sixteen_bits_use_their_own_range(tmp_path):
     [
         (None, (28, 36), "no calibration"),
         ({"color": None}, (28, 36), "color: expected K"),
-        ({"t": [80, 0, 0]}, (28, 36), "baseline of 80 m; the translation is in meters"),
+        ({"t": [80, 0, 0]}, (28, 36), "baseline of 80 m"),
         ({"infrared": {"K": K, "size": [640, 480]}}, (28, 36), r"calibrated for a infrared image of \[640, 480\]"),
         ({"infrared": {"K": K, "distortion": [1, 2, 3]}}, (28, 36), "coefficients"),
         ({"rectified": True, "fb": 10.0}, (28, 36), "36 x 28, but color.png is 40 x 30"),
