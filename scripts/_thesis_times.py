@@ -101,6 +101,17 @@ def figure_3_2(scene: Any) -> Rows:
     return rows
 
 
+def cross_times(scene: Any) -> Rows:
+    """Return milliseconds of cross-based aggregation by the largest length of its arms."""
+    pair = load_pair(scene)
+    volume = local("ad-census", "cw").cost(pair, scene.max_disparity + 1)
+    cross = local("ad-census", "cross").aggregation
+    jobs = {
+        f"CROSS {length}": partial(cross.model_copy(update={"length": length}), volume, pair) for length in (5, 17, 33)
+    }
+    return {name: {"ms": 1e3 * found[0]} for name, found in seconds_in_turns(jobs, 20).items()}
+
+
 def frames(scene: Any) -> Rows:
     """Return milliseconds of whole pipelines, and of OpenCV's SGBM in turn with them."""
     pair, jobs = load_pair(scene), {}

@@ -146,7 +146,7 @@ def penalize_outside(costs, zones, ranges, penalty, limit):
     return out
 
 
-def discrepancy(values, trusted, labels, coefficients, weight, truncation):
+def discrepancy(values, trusted, labels, coefficients, weight, truncation, weights):
     count = labels.max() + 1
     unary = np.zeros((count, len(coefficients)))
     for t in range(count):
@@ -155,8 +155,9 @@ def discrepancy(values, trusted, labels, coefficients, weight, truncation):
             continue
         for k, (a, b, c) in enumerate(coefficients):
             apart = np.abs(a * xs + b * ys + c - values[ys, xs])
-            agreeing = (apart <= 0.5).sum()
-            unary[t, k] = weight * np.minimum(apart, truncation).sum() * math.exp(-agreeing / len(ys))
+            own = weights[ys, xs]
+            share = own[apart <= 0.5].sum() / own.sum()
+            unary[t, k] = weight * (own * np.minimum(apart, truncation)).sum() * math.exp(-share)
     return unary
 
 

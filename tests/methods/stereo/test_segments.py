@@ -15,7 +15,7 @@ from depthcli.methods.stereo.boundary.gaussian import Gaussian
 from depthcli.methods.stereo.cost.intensity_gradient import IntensityGradient
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent, nearest_points
 from depthcli.methods.stereo.segments import planes as energy
-from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Split, grid_parts, segment_window
+from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, Split, grid_parts, segment_window
 from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges
 from depthcli.methods.stereo.segments.steps import map_with_status
 from depthcli.methods.stereo.volume import CostVolume
@@ -147,7 +147,8 @@ def test_near_duplicates_are_dropped_and_represented():
 
 
 @pytest.mark.parametrize("truncation", [np.inf, 1.5])
-def test_discrepancy_is_equation_2_9(truncation):
+@pytest.mark.parametrize("weighted", [False, True])
+def test_discrepancy_is_equation_2_9(truncation, weighted):
     rng = np.random.default_rng(3)
     values = rng.uniform(0, 6, (9, 12)).astype(np.float32)
     trusted = rng.random((9, 12)) < 0.6
@@ -155,9 +156,23 @@ def test_discrepancy_is_equation_2_9(truncation):
     rows = [(0.1, 0.0, 2.0), (0.0, 0.2, 1.0), (0.0, 0.0, 3.0)]
     members = RegionPixels.of(_labels(), trusted, 4)
     unary = np.zeros((4, 3))
-    run_bands(energy.discrepancy, 64, unary, values, *members, np.array(rows), 10.0, min(truncation, 1e6))
-    assert np.allclose(unary, naive.discrepancy(values, trusted, _labels(), rows, 10.0, truncation), rtol=1e-4)
+    weights = np.ones((1, 1), np.float32)
+    if weighted:
+        weights = rng.uniform(0.2, 1, (9, 12)).astype(np.float32)
+    run_bands(energy.discrepancy, 64, unary, values, weights, *members, np.array(rows), 10.0, min(truncation, 1e6))
+    expected = naive.discrepancy(values, trusted, _labels(), rows, 10.0, truncation, np.broadcast_to(weights, (9, 12)))
+    assert np.allclose(unary, expected, rtol=1e-4)
     assert np.all(unary[3] == 0)  # nothing trusted: any plane
+
+
+def test_pixels_without_a_clear_winner_weigh_less():
+    costs = np.full((1, 30, 6), 50, np.uint8)
+    costs[0, :, 4] = 10
+    costs[0, 27, [0, 3, 5]] = 10, 11, 12  # another one elsewhere is as cheap; neighbors do not count
+    costs[0, 28, 0] = 30
+    assert Selection(least_weight=0.5)(CostVolume(costs)).weights[0, 26:].tolist() == [1, 0.5, 0.75, 1]
+    assert Selection()(CostVolume(costs)).weights is None
+    assert set(Selection(least_weight=0.5)(CostVolume(costs[..., :2].copy())).weights[0]) == {np.float32(0.5)}
 
 
 @pytest.mark.parametrize("with_agreement", [False, True])

@@ -25,6 +25,7 @@ class FirstEstimate:
     values: NDArray[np.float32]  # pixels, may have fractions
     trusted: NDArray[np.bool_]  # the right view agrees
     right: NDArray[np.uint16]  # disparities of the right view
+    weights: NDArray[np.float32] | None = None  # in (0, 1], of trusted pixels in the energy; None: all are 1
 
 
 class Selection(ConfigModel):
@@ -38,13 +39,43 @@ class Selection(ConfigModel):
         1.0, ge=0, le=16384, description="largest difference of the views at a trusted pixel, pixels"
     )
     subpixel: bool = Field(False, description="move disparities to the minimum of a parabola through three costs")
+    least_weight: float = Field(
+        1.0,
+        gt=0,
+        le=1,
+        description="weight in dedc of a pixel whose second disparity costs no more; 1: all alike",
+    )
 
     def __call__(self, volume: CostVolume) -> FirstEstimate:
         minima = np.empty(volume.costs.shape[:2], np.float32) if self.subpixel else None
         left, right = winners(volume.costs, minima)
         trusted = left_right_difference(left, right) <= self.tolerance
         run_bands(_distrust_constant_costs, len(volume.costs), volume.costs, trusted)
-        return FirstEstimate(left.astype(np.float32) if minima is None else minima, trusted, right)
+        values = left.astype(np.float32) if minima is None else minima
+        return FirstEstimate(values, trusted, right, self._weights(volume, left) if self.least_weight < 1 else None)
+
+    def _weights(self, volume: CostVolume, best: NDArray[np.uint16]) -> NDArray[np.float32]:
+        # From ``least_weight``, where a disparity elsewhere costs no more, to 1, where it costs more by the median of
+        # the image or above.
+        margins = np.empty(best.shape, np.float32)
+        run_bands(_margins, len(best), volume.costs, best, margins)
+        typical = np.float32(max(float(np.median(margins)), 1e-6))
+        share = np.minimum(margins / typical, np.float32(1))
+        return np.asarray(self.least_weight + (1 - self.least_weight) * share, np.float32)
+
+
+@jit
+def _margins(begin, end, costs, best, margins):
+    # How much more the cheapest disparity inside the right image costs that is no neighbor of the best one; 0: none.
+    _, width, n_disparities = costs.shape
+    for y in range(begin, end):
+        for x in range(width):
+            row, place = costs[y, x], np.int64(best[y, x])
+            second = np.float32(np.inf)
+            for d in range(min(n_disparities, x + 1)):
+                if d < place - 1 or d > place + 1:
+                    second = min(second, np.float32(row[d]))
+            margins[y, x] = second - np.float32(row[place]) if second < np.inf else np.float32(0)
 
 
 def segment_window(volume: CostVolume, labels: NDArray[np.int32], radius: int) -> CostVolume:

@@ -146,7 +146,8 @@ class Energy(ConfigModel):
         run_bands(out_of_range, _TASKS, unary, width, *segments.everything, coefficients, segments.max_disparity)
         if self.data_term == "dedc":
             limits = self.data_weight, min(1e6 if self.truncation is None else self.truncation, 1e6)
-            run_bands(discrepancy, _TASKS, unary, first.values, *segments.trusted, coefficients, *limits)
+            weights = np.ones((1, 1), np.float32) if first.weights is None else first.weights
+            run_bands(discrepancy, _TASKS, unary, first.values, weights, *segments.trusted, coefficients, *limits)
         else:
             weight = self.cost_weight / volume.scale
             values = first.values if self.cost_agreement else np.empty((0, 0), np.float32)
@@ -171,11 +172,12 @@ def _coordinates(pixels, width):
 
 
 @jit
-def discrepancy(begin, end, unary, values, order, starts, coefficients, weight, truncation):
+def discrepancy(begin, end, unary, values, weights, order, starts, coefficients, weight, truncation):
     """Add the disparity estimate discrepancy cost (thesis, eq. 2.9), of trusted pixels.
 
     ``sum of weight |d_plane - d| exp(-n / m)`` over the segment's m pixels, n of which have the plane's disparity (to
     the nearest pixel). In a segment without pixels every plane costs 0. Differences above ``truncation`` count as it.
+    A pixel counts as much as its ``weights`` (H, W), in the sum, n and m; (1, 1) holds the weight of all.
     """
     for task in range(begin, end):
         for t in range(task, unary.shape[0], _TASKS):
@@ -184,9 +186,13 @@ def discrepancy(begin, end, unary, values, order, starts, coefficients, weight, 
             if m == 0:
                 continue
             px, py = _coordinates(pixels, values.shape[1])
-            pd = np.empty(m, np.float32)
+            pd, pw = np.empty(m, np.float32), np.full(m, weights[0, 0])
             for i in range(m):
-                pd[i] = values[pixels[i] // values.shape[1], pixels[i] % values.shape[1]]
+                y, x = pixels[i] // values.shape[1], pixels[i] % values.shape[1]
+                pd[i] = values[y, x]
+                if weights.size > 1:
+                    pw[i] = weights[y, x]
+            whole = np.sum(pw)
             max_difference = np.float32(truncation)
             half = np.float32(0.5)
             for label in range(coefficients.shape[0]):
@@ -194,12 +200,12 @@ def discrepancy(begin, end, unary, values, order, starts, coefficients, weight, 
                 b = np.float32(coefficients[label, 1])
                 c = np.float32(coefficients[label, 2])
                 total = np.float32(0.0)
-                n = np.int32(0)
+                n = np.float32(0.0)
                 for i in range(m):
                     difference = abs(a * px[i] + b * py[i] + c - pd[i])
-                    n += np.int32(difference <= half)
-                    total += min(difference, max_difference)
-                unary[t, label] += weight * total * (np.exp(-n / m) if n else 1.0)  # most planes have none
+                    n += pw[i] * np.float32(difference <= half)
+                    total += pw[i] * min(difference, max_difference)
+                unary[t, label] += weight * total * (np.exp(-np.float64(n) / whole) if n else 1.0)  # most planes: none
 
 
 @jit
