@@ -1,13 +1,13 @@
 """Fusion: several measures in one cost volume, weighted by confidence and consensus (thesis, chapter 6).
 
-In: a ``StereoPair``, the largest disparity (pixels), and for measures made elsewhere their (H, W, D) costs. Out: a
-``StereoResult``: left disparities (H, W) in pixels with status and confidences. :class:`.config.FuseConfig` is the root
-of the command's config. Start reading at :meth:`.pipeline.Fusion.fuse`, which numbers the steps.
+Input: a ``StereoPair``, the largest disparity (pixels), and, for measures made elsewhere, their (H, W, D) costs.
+Output: a ``StereoResult``: left disparities (H, W) in pixels with status and confidences. Start reading at
+:meth:`.pipeline.Fusion.fuse`, which numbers the steps.
 
-A *voter* is a disparity map: each measure's own one, in further rounds the optimized one. At every pixel its disparity
-is a *vote*, weighted by its confidence. The *support* of a pixel are the pixels around that vote for it. The *share* of
-a disparity at a pixel, 0 .. 1, is the sum of the votes for it in the support, weighted by distance and color, over the
-largest possible sum. A *ballot* (``Ballot``) holds the votes of all voters at all pixels. In the order of first use:
+A *voter* is the disparity map of one measure. At every pixel its disparity is a *vote*, weighted by its confidence. The
+*support* of a pixel is the pixels around it that vote for it. The *share* of a disparity at a pixel, 0 .. 1, is the sum
+of the votes for it in the support, weighted by distance and color, over the largest possible sum. A *ballot*
+(``Ballot``) contains the votes of all voters at all pixels. In the order of first use:
 
 | module | purpose |
 |---|---|

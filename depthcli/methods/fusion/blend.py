@@ -17,10 +17,10 @@ _MIN_SCORE = np.float32(1e-4)  # changes no weight visibly, and gives pixels wit
 
 
 def normalize_costs(volume: CostVolume, scale: float | None, outside: float | None = None) -> CostVolume:
-    """Bring costs of any measure to [0, 1]: ``1 - exp(-C / scale)`` (the form of Mei et al. 2011); uint8, scale 255.
+    """Return the costs of any measure in [0, 1]: ``1 - exp(-C / scale)`` (as in Mei et al. 2011); uint8, scale 255.
 
     If any cost is below zero, all are shifted so that the smallest one is zero. ``scale`` is in units of the measure;
-    None: the median cost. Cells outside the right image get the cost ``outside``; None: the mean of those inside.
+    None: the median cost. Cells outside the right image get the cost ``outside``; None: the mean of the cells inside.
     """
     costs = volume.costs
     out: NDArray[np.uint8] = memory.empty(costs.shape, np.uint8)
@@ -47,7 +47,7 @@ def normalize_costs(volume: CostVolume, scale: float | None, outside: float | No
 
 
 def normalize_confidences(confidence: NDArray[np.float32], name: str) -> NDArray[np.float32]:
-    """Bring (M, H, W) confidences of the kind ``name`` of M cost measures to one scale in [0, 1].
+    """Return (M, H, W) confidences called ``name`` of M cost measures on one scale in [0, 1].
 
     ``lrc`` is in pixels for every measure and becomes 1 / (1 + |difference|). Any other becomes its rank
     among all measures and pixels together: ranks within a measure would lose which measure is better.
@@ -66,7 +66,7 @@ def measure_weights(
 ) -> NDArray[np.float32]:
     """Compute the weights of M measures at every pixel, ``shape`` (M, H, W) float32, sum 1 over the measures.
 
-    The ballot, with one voter per measure, may be missing where all weights are equal. ``exponent`` is a power of the
+    The ballot, with one voter per measure, may be missing if all weights are equal. ``exponent`` is a power of the
     shares (mode ``consensus``) or of the vote weights (mode ``confidence``).
     """
     if mode in ("equal", "vote"):
@@ -83,9 +83,9 @@ def measure_weights(
 
 
 def blend(volumes: list[CostVolume], weights: NDArray[np.float32]) -> CostVolume:
-    """Compute the mean of M uint8 volumes of one scale, of that scale, by weights (M, H, W) whose sums are 1.
+    """Return the mean of M uint8 volumes of one scale, in that scale, by weights (M, H, W) whose sums are 1.
 
-    Weights are rounded to 1/256, the largest one takes what is left over.
+    Weights are rounded to 1/256; the largest one takes the remainder.
     """
     out: NDArray[np.uint8] = memory.empty(volumes[0].costs.shape, np.uint8)
     run_bands(_blend, len(out), tuple(volume.costs for volume in volumes), weights, out)

@@ -1,6 +1,6 @@
-"""What a pair, and other maps, show of a map of its left view at every pixel: the planes that maps are judged by.
+"""Planes to judge maps of a left view at every pixel, from the pair and from other maps.
 
-Given maps (``methods.given_maps``) and both ways to choose among maps (``fusion.choice``) take their planes from here.
+Given maps (``methods.given_maps``) and both ways to choose among maps (``fusion.choice``) use these planes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from depthcli.methods.stereo.volume import CostVolume
 
 _ALL, _BUT_LAST, _BUT_FIRST = slice(None), slice(None, -1), slice(1, None)
 NEIGHBORS = (((_ALL, _BUT_LAST), (_ALL, _BUT_FIRST)), ((_BUT_LAST, _ALL), (_BUT_FIRST, _ALL)))
-"""Pixels and the next ones in their rows; pixels and the next ones in their columns."""
+"""Slices of pixels and of the next ones, along the rows; the same along the columns."""
 MAX_COLOR = np.float32(40.0)
 """Largest color difference and deviation in the planes, grey levels; networks are trained with it."""
 VIEW_PLANES = (
@@ -30,13 +30,13 @@ VIEW_PLANES = (
 )
 """Planes of :meth:`Views.compare`, one value per pixel of every map.
 
-| plane | what it measures |
+| plane | measure |
 |---|---|
-| ``cost``, ``uncut_cost`` | matching cost along the map, two limits of it, which count outside the right image, too |
+| ``cost``, ``uncut_cost`` | matching cost along the map, at most a limit each; outside the right image, the limit |
 | ``excess_cost`` | cost above the pixel's smallest one |
-| ``contradiction`` | how far the map is in front of what the right view sees: 0 to 1 between one and two pixels |
-| ``hidden`` | 1 where the map is more than a pixel behind what the right view sees, or outside |
-| ``right_view_difference`` | to the disparity of the match in the right view, at most 5 pixels; -6 outside |
+| ``contradiction`` | how far the map is in front of the right view's map: 0 to 1 between one and two pixels |
+| ``hidden`` | 1 if the map is more than a pixel behind the right view's map, or outside |
+| ``right_view_difference`` | difference from the right view's disparity at the match, at most 5 pixels; -6 outside |
 | ``match_column`` | column of the match in the right image, at most 20 from its border, pixels |
 | ``self_occlusion`` | by how much a nearer pixel of the map covers the match, pixels |
 | ``warped`` | grey level of the right image at the match |
@@ -47,7 +47,7 @@ _SOFTNESS = 15.0  # of the supports, grey levels
 
 
 class Views:
-    """A pair, its costs and the disparities of its right view, by which maps of the left view are judged."""
+    """A pair, its costs and the disparities of its right view, to judge maps of the left view."""
 
     pair: StereoPair
     volume: CostVolume  # (H, W, D) matching costs
@@ -55,12 +55,12 @@ class Views:
 
     @cached_property
     def wide(self) -> ColorSupport:
-        """The wide support that costs are averaged over; networks are trained with the supports."""
+        """The wide support that costs are averaged over; networks are trained with these supports."""
         return ColorSupport(self.pair.color8[0], 8.0, _SOFTNESS)
 
     @cached_property
     def narrow(self) -> ColorSupport:
-        """The narrow support that is used where outlines matter."""
+        """The narrow support, for planes in which outlines matter."""
         return ColorSupport(self.pair.color8[0], 2.0, _SOFTNESS)
 
     @cached_property
@@ -76,7 +76,7 @@ class Views:
 
     @property
     def light_trust(self) -> Map | np.float32:
-        """How far the light of every pixel is trusted, 0 .. 1."""
+        """Trust in the light of every pixel, 0 .. 1."""
         trust = self.pair.light_trust
         return np.float32(1) if trust is None else np.asarray(trust / np.float32(255), np.float32)
 
@@ -95,13 +95,13 @@ class Views:
         return lowest
 
     def decorrelation(self, warped: Map, out: Map) -> None:
-        """Write 1 - correlation of the left image and (N, H, W) right ones, warped by maps, in windows."""
+        """Write 1 - correlation, in windows, of the left image and (N, H, W) right images warped by maps."""
         left = self.grey[0]
         np.subtract(1, correlation(left, local_moments(left, CORRELATED), warped), out=out)
 
 
 def image_planes(grey: Map, sides: Iterable[int], plane: Mapping[str, Map]) -> None:
-    """Write ``deviation_SIDE`` of windows and ``gradient`` of an image, grey levels."""
+    """Write ``deviation_SIDE`` of windows with these ``sides``, and ``gradient``, of an image, grey levels."""
     for side in sides:
         deviation(grey, side, float(MAX_COLOR), plane[f"deviation_{side}"])
     np.minimum(np.abs(cv2.Sobel(grey, cv2.CV_32F, 1, 0)) / 8, 30, out=plane["gradient"])
@@ -114,14 +114,14 @@ def deviation(values: Map, side: int, most: float, out: Map) -> None:
 
 
 def misfit(here: Map, there: Map, slope_here: Map, slope_there: Map) -> Map:
-    """Return the mean difference of two neighbors from the disparity that the slope of the other predicts, pixels."""
+    """Return the mean difference of two neighbors from the disparities that their slopes predict, pixels."""
     step = there - here
     mean: Map = np.float32(0.5) * (abs(step - slope_here) + abs(step - slope_there))
     return mean
 
 
 misfit_of_pixels = jit(misfit)
-"""The same of single pixels, for kernels."""
+"""The same for single pixels, in kernels."""
 
 
 def disagreements(maps: Map, weights: NDArray[np.float32], out: Map | None = None) -> Map:
@@ -135,7 +135,7 @@ def disagreements(maps: Map, weights: NDArray[np.float32], out: Map | None = Non
 
 
 def agreement(values: Map, maps: Map, weights: NDArray[np.float32]) -> Map:
-    """Compute the weighted share, 0 .. 1, of maps (N, H, W) that agree with ``values`` (H, W), as in disagreements."""
+    """Compute the weighted share, 0 .. 1, of maps (N, H, W) that agree with ``values`` (H, W), as ``disagreements``."""
     total = np.zeros(values.shape, np.float32)
     for one, weight in zip(maps, weights, strict=True):
         total += weight * np.clip(np.float32(1.5) - np.abs(one - values), 0, 1)
@@ -143,9 +143,9 @@ def agreement(values: Map, maps: Map, weights: NDArray[np.float32]) -> Map:
 
 
 def hidden_jumps(maps: Map, image: NDArray[np.uint8], out: Map | None = None) -> Map:
-    """Compute how far every map (N, H, W) jumps where the color does not change, in [0, 4].
+    """Compute how far every map (N, H, W) jumps at pixels where the color does not change, in [0, 4].
 
-    The sum over the four neighbors of the step beyond one pixel, at most 1, times exp(-color difference / 10 levels).
+    Sum over the four neighbors of the step beyond one pixel, at most 1, times exp(-color difference / 10 levels).
     """
     out = np.empty(maps.shape, np.float32) if out is None else out
     sameness = np.exp(np.arange(256) * -0.1).astype(np.float32)
@@ -165,7 +165,7 @@ def cost_between(costs, value):
 
 @jit
 def nearest_matches(row):
-    """Return the largest disparity of a row's pixels on every pixel of the right view, -1 where none is matched."""
+    """Return the largest disparity that a row's pixels have at each pixel of the right view; -1 if none matches it."""
     nearest = np.full(row.size, np.float32(-1))
     for x in range(row.size):
         u = int(np.floor(np.float32(x) - row[x] + np.float32(0.5)))
@@ -176,11 +176,11 @@ def nearest_matches(row):
 
 @jit
 def match_in_right(x, value, right, nearest):
-    """Return what the right view says of pixel ``x`` of a map: some of ``VIEW_PLANES``, and the distance from it.
+    """Return some of ``VIEW_PLANES`` for pixel ``x`` of a map, and the distance to its match's disparity.
 
-    These are ``contradiction``, ``hidden``, ``right_view_difference``, ``match_column``, ``self_occlusion``, and how
-    far the disparity of the match is away, at most 8 pixels. ``right`` are the disparities of a row of the right view,
-    ``nearest`` the :func:`nearest_matches` of a row of the map.
+    These are ``contradiction``, ``hidden``, ``right_view_difference``, ``match_column``, ``self_occlusion``, and the
+    distance, at most 8 pixels. ``right`` is the right view's row of disparities, ``nearest`` the
+    :func:`nearest_matches` of the map's row.
     """
     zero, one = np.float32(0), np.float32(1)
     column = np.float32(x) - value
@@ -200,7 +200,7 @@ def match_in_right(x, value, right, nearest):
 def warped_right(x, value, image, other, grey):
     """Return the right view's grey level at the match of pixel ``x``, and the largest channel difference to it.
 
-    ``image`` and ``other`` are a row of the left and of the right color image, ``grey`` is of the right one.
+    ``image`` and ``other`` are rows of the left and of the right color image, ``grey`` is a row of the right grey one.
     """
     at = min(max(np.float32(x) - value, np.float32(0)), np.float32(grey.size - 1))
     low = int(at)
@@ -261,7 +261,7 @@ def _disagree(begin, end, maps, weights, others, out):
 
 @jit
 def _hidden_jumps(begin, end, maps, same, out):
-    # ``same`` (2, H, W): how alike the colors of a pixel and the one to its left, above it are.
+    # ``same`` (2, H, W): how alike the colors of a pixel and of the pixel to its left, above it are.
     count, height, width = maps.shape
     for y in range(begin, end):
         for k in range(count):

@@ -1,4 +1,4 @@
-"""Mixing of the map of the fused costs with those of other methods: each is taken where it is right."""
+"""Mixing of the map of the fused costs with maps of other methods."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from depthcli.methods.stereo.stages import refined
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
 _TIMES_FILLED = np.array([bool(s & Status.FILLED) + bool(s & Status.OCCLUDED) for s in range(256)], np.uint8)
-"""Of a status: 0 not filled, 1 filled, 2 filled where the right view does not see."""
+"""By status: 0 not filled, 1 filled, 2 filled and hidden from the right view."""
 
 
 class MapSource(ConfigModel):
-    """Where one more map comes from, and how much it counts."""
+    """The source of one more map, and its weight."""
 
     weight: float = Field(
         1.0, ge=0, le=100, description="weight of the map in the agreement of maps; the map of the fused costs has 1"
@@ -38,7 +38,7 @@ class MapSource(ConfigModel):
 
 
 class PipelineMap(MapSource):
-    """A map of a pipeline of the stereo command."""
+    """A map from a pipeline of the stereo command."""
 
     matcher: Pipeline = Field(description="the pipeline and its parameters, as in a config of stereo")
 
@@ -50,10 +50,10 @@ class OptimizedMap(MapSource):
 
 
 class MapFusion(ConfigModel):
-    """The map of the fused costs and maps of other methods, and which of them is taken at a pixel.
+    """Maps of other methods to mix with the map of the fused costs, and the choice among them at a pixel.
 
-    Proposed are the median of the maps, the map of the fused costs (the own one), those of ``matchers`` and of
-    ``optimizations``, in this order.
+    The proposals are, in this order, the median of the maps, the map of the fused costs (``own``), and the maps of
+    ``matchers`` and of ``optimizations``.
     """
 
     matchers: tuple[PipelineMap, ...] = Field(
@@ -84,12 +84,12 @@ class MapFusion(ConfigModel):
         confidence: Collection[str],
         clock: Clock,
     ) -> tuple[DisparityMap, dict[str, NDArray[np.float32]]]:
-        """Mix ``maps``, the own one, those of ``matchers`` and those of ``optimizations``, and refine the mix.
+        """Mix ``maps`` (the own one, then the maps of ``matchers`` and of ``optimizations``) and refine the mix.
 
-        Their gaps are filled; their median is proposed, too. ``right`` (H, W) are disparities of the right
-        view. With the map, confidences of the names ``confidence`` are returned: ``agreement``, the weighted share of
-        the proposals that agree with the map, and, where the choice knows it, ``probability`` of the chosen one to be
-        right; both in [0, 1].
+        Gaps of the maps are filled, and their median is another proposal. ``right`` (H, W) are the right view's
+        disparities. Return the map and the confidences named in ``confidence``: ``agreement``, the weighted share of
+        proposals that agree with the map, and, if the choice computes it, ``probability`` of the chosen map to be
+        correct. Both are in [0, 1].
         """
         clock.start("proposals")
         proposals = self._proposals(pair, volume, right, maps)
@@ -106,7 +106,7 @@ class MapFusion(ConfigModel):
         return disparity, confidences
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int, fused: int) -> int:
-        """Estimate the peak working memory of the matchers, and of mixing beside ``fused`` bytes of costs, bytes."""
+        """Estimate the peak memory of the matchers, and of mixing besides ``fused`` bytes of costs, bytes."""
         count = len(self.kinds)
         mixing = fused + shape[0] * shape[1] * (9 * count + self.choice.bytes_per_pixel(count))
         return max([mixing, *(source.matcher.peak_bytes(shape, max_disparity) for source in self.matchers)])
@@ -127,8 +127,8 @@ class MapFusion(ConfigModel):
 
 @jit
 def _complete(begin, end, maps, largest):
-    # The first map becomes the median of the others, whose values are brought to 0 .. ``largest``; of an even number
-    # the lower one in the middle: a mean would be a value that nobody proposed.
+    # The first map becomes the median of the others, whose values are limited to 0 .. ``largest``. Of an even number it
+    # is the lower one in the middle: a mean would be a value that no map has.
     count, _, width = maps.shape
     for y in range(begin, end):
         ordered = np.empty(count, np.float32)
@@ -145,7 +145,7 @@ def _complete(begin, end, maps, largest):
 
 
 def _status(values: NDArray[np.float32], right: NDArray[Any]) -> NDArray[np.uint8]:
-    # Measured if the right view agrees within one pixel; filled otherwise, and hidden from it or mismatched.
+    # Measured if the right view agrees within one pixel; otherwise filled, and hidden from it or mismatched.
     status = np.empty(values.shape, np.uint8)
     hidden, wrong = Status.OCCLUDED | Status.FILLED, Status.MISMATCH | Status.FILLED
     run_bands(_judge, len(values), values, right, np.uint8(hidden), np.uint8(wrong), status)

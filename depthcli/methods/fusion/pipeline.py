@@ -1,4 +1,4 @@
-"""The data flow of fusion: :meth:`Fusion.fuse` from a pair to fused costs, :meth:`Fusion.__call__` on to a map."""
+"""The data flow of fusion: :meth:`Fusion.fuse` from a pair to fused costs, :meth:`Fusion.__call__` to a map."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ Volumes = Mapping[str, NDArray[Any]]
 
 
 class FusedMeasure(ConfigModel):
-    """One of the measures to fuse: a cost measure, or a cost volume read from a file."""
+    """A measure to fuse: a cost measure, or a cost volume read from a file."""
 
     flattened: ClassVar[str] = "cost"  # a measure may be written as its cost alone
 
@@ -78,7 +78,7 @@ class FusedMeasure(ConfigModel):
         return self
 
     def costs(self, pair: StereoPair, n_disparities: int, volumes: Volumes) -> CostVolume:
-        """Return the costs of ``n_disparities`` disparities; InputError where the volume is missing or unusable."""
+        """Return the costs of ``n_disparities`` disparities; InputError if the volume is missing or unusable."""
         if self.cost is not None:
             return self.cost.checked_costs(pair, n_disparities)
         assert self.volume is not None
@@ -165,26 +165,26 @@ class Fusion(AdjustingMatcher):
 
     @property
     def volumes(self) -> set[str]:
-        """Names of the files of the measures that are made elsewhere."""
+        """Names of the files of measures that are made elsewhere."""
         return {measure.volume for measure in self.measures if measure.volume is not None}
 
     def with_volumes(self, read: Callable[[], Volumes]) -> Self:
-        """Return a copy that takes the measures made elsewhere from what ``read()`` returns when a pair is matched."""
+        """Return a copy that reads the measures made elsewhere by ``read()`` when a pair is matched."""
         copy = self.model_copy()
         copy._read_volumes = read
         return copy
 
     def tile_halo(self) -> int | None:
-        """Return None where there are volumes: they are those of the whole pair."""
+        """Return None if there are volumes, which cover the whole pair."""
         return None if self.volumes else super().tile_halo()
 
     @property
     def network_name(self) -> str | None:
-        """Name or file of the trained network that chooses among the maps; None: none does."""
+        """Name or file of the trained network that chooses among the maps, if one does."""
         return None if self.maps is None else self.maps.choice.network_name
 
     def with_network(self, trained: TrainedNetwork) -> Self:
-        """Return a copy whose choice among the maps is made by ``trained``; InputError if it is for other maps."""
+        """Return a copy that chooses among the maps by ``trained``; InputError if it is for other maps."""
         assert self.maps is not None
         choice = self.maps.choice.with_network(trained, self.maps.kinds)
         return self.model_copy(update={"maps": self.maps.model_copy(update={"choice": choice})})
@@ -192,13 +192,13 @@ class Fusion(AdjustingMatcher):
     def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None) -> StereoResult:
         """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive.
 
-        InputError: a volume is missing, has another shape, or holds NaN or infinite costs; further disparities of it
-        are cut off.
+        InputError: a volume is missing, has another shape, or contains NaN or infinite costs. Disparities of a volume
+        beyond ``max_disparity`` are cut off.
         """
         clock = Clock()
         pair = adjusted(pair, max_disparity, self.adjust, context, clock)
         other_maps = []
-        if self.maps is not None:  # before the fused costs: then their matchers need no memory beside them
+        if self.maps is not None:  # before the fused costs, so that matchers do not need memory besides them
             clock.start("other_maps")
             other_maps = [source.matcher(pair, max_disparity, context).disparity for source in self.maps.matchers]
         fused = self.fuse(pair, max_disparity, clock, vote="consensus" in self.confidence)
@@ -233,14 +233,14 @@ class Fusion(AdjustingMatcher):
 
         1. ``cost``: costs of every measure, on one scale.
         2. ``voters``: the disparity map of every measure, which is its vote, and how much each vote counts.
-        3. ``weights``: the ballot, and from it the weight of every measure at every pixel. Where the light of the two
-           images differs, ``light_weights`` multiply the votes' weights before the ballot and the measures' weights
-           after it, which are then divided by their sum.
-        4. ``aggregation``: weighted mean of the costs, aggregated before or after it (``blend``).
-        5. ``votes``: a cost is added to disparities with a small share of the votes; with ``weights: vote`` it is the
-           only one.
+        3. ``weights``: the ballot, and from it the weight of every measure at every pixel. If the light of the two
+           images differs, ``light_weights`` multiply the votes' weights before the ballot, and the measures' weights
+           after it. These are then divided by their sum.
+        4. ``aggregation``: weighted mean of the costs, before or after their aggregation (``blend``).
+        5. ``votes``: disparities with a small share of the votes get an additional cost, or, with ``weights: vote``,
+           only this cost.
 
-        With equal weights and no cost of votes, ``vote`` says whether votes are counted, which only confidences need.
+        With equal weights and no cost of votes, only confidences need votes: ``vote`` decides whether they are counted.
         """
         clock = clock or Clock()
         clock.start("cost")
@@ -262,7 +262,7 @@ class Fusion(AdjustingMatcher):
             blended = None
         elif self.blend == "before":
             blended = blend(parts, weights)
-            parts.clear()  # what follows needs room for volumes of its own
+            parts.clear()  # makes room for the next volumes
             if self.aggregation is not None:
                 blended = self.aggregation(blended, pair)
             elif counted:
@@ -323,8 +323,8 @@ class Fusion(AdjustingMatcher):
 
 @dataclass(frozen=True)
 class FusedCosts:
-    """The fused costs, and how they were made."""
+    """The fused costs, and the weights and votes that they were made with."""
 
-    volume: CostVolume  # (H, W, D) uint16, at most 4080; uint8 where single pixels are weighted alike without votes
+    volume: CostVolume  # (H, W, D) uint16, at most 4080; uint8 with equal weights, no aggregation and no votes
     weights: NDArray[np.float32]  # of the measures, (M, H, W) float32, sum 1 over M
-    ballot: Ballot | None  # the votes; None where they are not counted
+    ballot: Ballot | None  # the votes; None if they are not counted

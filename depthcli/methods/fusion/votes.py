@@ -1,6 +1,6 @@
 """Consensus: the pixels around a pixel vote for its disparity.
 
-A volume of votes would be as large as a cost volume. It is never stored: votes are counted for 16 disparities
+A volume of votes would be as large as a cost volume, so it is never stored: votes are counted for 16 disparities
 at a time, and the counts are used before the next 16 are counted.
 """
 
@@ -27,7 +27,7 @@ from depthcli.methods.stereo.volume import CostVolume
 BLOCK_DEPTH = LANES
 """Disparities, or maps, that a support sums at a time: 16."""
 _STRIP = 8  # columns
-NO_VOTE = np.float32(1e-20)  # instead of 0: what is left of far votes must not become denormal, which is slow
+NO_VOTE = np.float32(1e-20)  # instead of 0: remainders of far votes must not become denormal, which is slow
 
 
 class Support(ABC):
@@ -40,11 +40,11 @@ class Support(ABC):
         """Replace (H, W, 16) float32 ``block`` by its sums over every pixel's support."""
 
     def mean(self, planes: NDArray[np.float32], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """Return the weighted means over every pixel's support of (N, H, W) float32 planes, none below 0."""
+        """Return the weighted means over every pixel's support of (N, H, W) float32 planes without negative values."""
         out = np.empty(planes.shape, np.float32) if out is None else out
         block = memory.empty((*self.shape, BLOCK_DEPTH), np.float32)
         inverse_sum = np.empty(self.shape, np.float32)
-        last = len(planes) // BLOCK_DEPTH * BLOCK_DEPTH  # in this block is room for a plane of ones
+        last = len(planes) // BLOCK_DEPTH * BLOCK_DEPTH  # this block has room for a plane of ones
         for first in range(last, -1, -BLOCK_DEPTH):
             part = slice(first, first + BLOCK_DEPTH)
             run_bands(_interleave, self.shape[0], planes[part], block)
@@ -65,8 +65,8 @@ class Support(ABC):
 class ColorSupport(Support):
     """Weights that fall with the distance and with the color change along the way (row first, then column).
 
-    From one pixel to the next a vote is multiplied by exp(-1 / reach - color step / softness). Sums are made by
-    recursive filters, whose time does not depend on the reach (pixels). Color steps are the largest over the channels.
+    From one pixel to the next a vote is multiplied by exp(-1 / reach - color step / softness). Recursive filters make
+    the sums in a time that does not depend on ``reach`` (pixels). Color steps are the largest over the channels.
     """
 
     def __init__(self, image: NDArray[np.uint8], reach: float, softness: float) -> None:
@@ -81,7 +81,7 @@ class ColorSupport(Support):
 
 
 class WindowSupport(Support):
-    """Equal weights of all pixels of a square window, clipped at the image border."""
+    """Equal weights for all pixels of a square window, clipped at the image border."""
 
     def __init__(self, shape: tuple[int, int], window: int) -> None:
         self.shape, self._size = shape, (window, window)
@@ -91,7 +91,7 @@ class WindowSupport(Support):
 
 
 class Consensus(ConfigModel):
-    """How the pixels around a pixel vote for its disparity, and what a vote is worth."""
+    """The way the pixels around a pixel vote for its disparity, and the weight of a vote."""
 
     support: Literal["color", "window"] = Field(
         "color", description="color: votes fade with distance and color change; window: all of a square count alike"
@@ -116,7 +116,7 @@ class Ballot:
 
     disparities: NDArray[np.int32]  # (M, H, W) int32, 0 .. n_disparities - 1
     # (M, H, W) float32 >= 0, how much each vote counts; their sum at a pixel is at most M. Rounded to 1/256 for
-    # counting, which keeps the sums of windows exact
+    # counting, so that sums over windows are exact.
     vote_weights: NDArray[np.float32]
     n_disparities: int  # number of disparities
     tolerance: int  # largest difference from the voter's own disparity at which a vote counts, pixels
@@ -142,8 +142,8 @@ class Ballot:
         """Return costs plus ``strength * (1 - share)`` of every disparity: uint16 fixed point, at most ``largest``.
 
         ``strength`` is in units of ``base.scale``, and with ``base`` votes count in full up to the tolerance. Without
-        it, there are the votes alone; they fade linearly with the difference from the voter's disparity, to 0 one
-        pixel beyond the tolerance, since nothing else tells neighboring disparities apart.
+        it, the votes are the only cost. Then they fade linearly with the difference from the voter's disparity, to 0
+        one pixel beyond the tolerance, because nothing else distinguishes neighboring disparities.
         """
         shape = (*self.disparities.shape[1:], self.n_disparities)
         out: NDArray[np.uint16] = memory.empty(shape, np.uint16)
@@ -203,7 +203,7 @@ def _add(begin, end, block, inverse_sum, base, gain, strength, first, out):
 
 @jit
 def _interleave(begin, end, planes, block):
-    # Ones where there are no planes.
+    # Missing planes are ones.
     count, _, width = planes.shape
     for y in range(begin, end):
         for x in range(width):
@@ -224,7 +224,7 @@ def _separate(begin, end, block, factor, planes):
 
 @jit
 def _recurse_rows(begin, end, block, steps, decay):
-    # Forwards, then backwards; 16 values a pixel, which are one vector.
+    # Forwards, then backwards. The 16 values of a pixel are one vector.
     width = block.shape[1]
     for y in range(begin, end):
         first, last = y * width, (y + 1) * width - 1
@@ -239,7 +239,7 @@ def _recurse_rows(begin, end, block, steps, decay):
 
 @jit
 def _recurse_columns(begin, end, block, steps, decay):
-    # Strips of columns, whose cells stay in the second-level cache between both directions.
+    # Strips of columns, whose cells stay in the second-level cache between the two directions.
     height, width, _ = block.shape
     for strip in range(begin, end):
         left = strip * _STRIP

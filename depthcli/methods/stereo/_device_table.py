@@ -1,8 +1,8 @@
-"""The device implementations: class of a method -> the function that does on a device what the method does.
+"""The device implementations: class of a method -> the function that computes the same on a device.
 
-Only what uses a device imports this module. A function takes the method and the arguments of the method's ``__call__``,
-as the types of :mod:`.on_device`: a cost has ``census(method, pair, n_disparities)``, aggregation and optimization
-``cross(method, volume, pair)``, refinement ``median(method, disparity, context)``.
+Only code that uses a device imports this module. A function takes the method and the arguments of the method's
+``__call__``, as the types of :mod:`.on_device`: a cost has ``census(method, pair, n_disparities)``, aggregation and
+optimization ``cross(method, volume, pair)``, refinement ``median(method, disparity, context)``.
 """
 
 from __future__ import annotations

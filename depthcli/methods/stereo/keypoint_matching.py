@@ -23,7 +23,7 @@ class Matches:
     x: NDArray[np.float32]  # position in the left image, pixels
     y: NDArray[np.float32]
     disparity: NDArray[np.float32]  # x_left - x_right, pixels
-    distance: NDArray[np.float32]  # Euclidean, of the descriptors
+    distance: NDArray[np.float32]  # Euclidean, between the descriptors
 
     def __len__(self) -> int:
         return len(self.left)
@@ -57,18 +57,18 @@ def match_rectified(
     max_distance: float = 0.2,
     max_scale_ratio: float = 1.1,
 ) -> Matches:
-    """Match mutual nearest neighbors in descriptor space along epipolar lines (thesis, eq. 2.1), by ratio test.
+    """Return mutual nearest neighbors in descriptor space along epipolar lines (thesis, eq. 2.1), by ratio test.
 
-    Candidates lie less than ``max_row_difference`` rows apart, have a disparity in [0, ``max_disparity``] and the same
-    sign of the Laplacian, and about the same scale: in a rectified pair a patch keeps its height. (On Cones 9 % of the
-    matches with scales within 5 % are wrong; beyond 10 % it is 8 in 10.) The ratio test compares with the best
-    candidate elsewhere on the line, at least two pixels away: two responses to one blob do not make it ambiguous. From
-    both sides a match must be nearer than ``ratio`` times the second candidate (1: no test), and at most
+    Candidates are less than ``max_row_difference`` rows apart. They have a disparity in [0, ``max_disparity``], the
+    same sign of the Laplacian, and about the same scale, because in a rectified pair a patch keeps its height. (On
+    Cones, 9 % of the matches with scales within 5 % are incorrect, and 8 in 10 beyond 10 %.) The ratio test compares a
+    match with the best candidate at least two pixels away, so that two responses to one blob do not make it ambiguous.
+    From both sides a match must be nearer than ``ratio`` times the second candidate (1: no test), and at most
     ``max_distance``; two unit vectors are at most 2 apart.
     """
 
     def search(points: KeyPoints, others: KeyPoints, low: float, high: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        # For each of ``points`` the index of the nearest of ``others`` with x - x' from low to high, -1: none; and
+        # For each of ``points``, the index of the nearest of ``others`` with x - x' from low to high (-1: none), and
         # its distance.
         order = np.lexsort((others.x, others.y)).astype(np.int32)
         rows = others.y[order]
@@ -97,12 +97,12 @@ def _find_nearest(
     begin, end, x, sign, scale, descriptors, other_x, other_sign, other_scale, other_descriptors, low, high, limits,
     nearest, distance,
 ):  # fmt: skip
-    # Nearest candidate of each key point, -1 where there is none or the second is too near; and its distance.
+    # Nearest candidate of each key point, and its distance; -1 if there is none or the second is too near.
     min_shift, max_shift, ratio, max_scale_ratio = limits
     for k in range(begin, end):
         winner = -1
         best = second = np.float32(np.inf)
-        for turn in range(2):  # then the best candidate that lies elsewhere than the nearest one
+        for turn in range(2):  # then the best candidate at another place than the nearest one
             for j in range(low[k], high[k]):
                 shift = x[k] - other_x[j]
                 if shift < min_shift or shift > max_shift or sign[k] != other_sign[j]:
@@ -134,13 +134,13 @@ def _squared_distance(here, there):
 
 
 def consistent(matches: Matches, neighbors: int = 8, agreeing: int = 2, tolerance: float = 2.0) -> Matches:
-    """Return the matches whose disparity some of the matches around them share.
+    """Return the matches whose disparity agrees with matches around them.
 
-    A blob that straddles the rim of an object is matched, but by the object, not by the ground it lies on. At least
-    ``agreeing`` of the nearest ``neighbors`` must have a disparity within ``tolerance`` pixels.
+    A blob across the rim of an object takes the object's disparity, even where its center is on the background. At
+    least ``agreeing`` of the nearest ``neighbors`` must have a disparity within ``tolerance`` pixels.
     """
     index, _ = nearest_points(matches.x, matches.y, matches.x, matches.y, min(neighbors + 1, len(matches)))
-    # The match itself is one of these, first but for others at the same place; without it they are the neighbors.
+    # Leave out the match itself; if too many others at the same place precede it, leave out the last one instead.
     own = index == np.arange(len(matches))[:, None]
     own[~own.any(axis=1), -1:] = True
     agrees = np.abs(matches.disparity[index] - matches.disparity[:, None]) <= tolerance
@@ -151,9 +151,9 @@ def consistent(matches: Matches, neighbors: int = 8, agreeing: int = 2, toleranc
 def nearest_points(
     center_x: NDArray[Any], center_y: NDArray[Any], x: NDArray[Any], y: NDArray[Any], count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the indices of the ``count`` of (M,) points nearest to every one of (N,) centers, and squared distances.
+    """Return the indices of the ``count`` of (M,) points nearest to each of (N,) centers, and their squared distances.
 
-    Both are (N, count), the nearest first; of equally distant points the one that comes first is nearer.
+    Both are (N, count), the nearest first; among equally distant points, the earlier one is first.
     """
     index = np.zeros((len(center_x), count), np.int64)
     squared = np.full((len(center_x), count), np.inf)

@@ -1,9 +1,9 @@
-"""How a pair is matched, decided in one place: whole, in tiles, coarse to fine, or on a device.
+"""The way a pair is matched: whole, in tiles, coarse to fine, or on a device.
 
-Pairs whose costs do not fit into the memory that is allowed are matched tile by tile. Where costs depend on the pixels
-around alone (no optimizer), tiles search the whole range with the margin that the method needs: the result has the
-same bytes as that of the whole pair. Otherwise the pair is matched coarse to fine (:mod:`.tiling`): the smaller
-sizes say which disparities a tile searches.
+A pair is matched tile by tile if its costs do not fit into the allowed memory. If costs depend only on nearby pixels
+(no optimizer), tiles search the whole range with the margin that the method needs, and the result has the same bytes
+as for the whole pair. Otherwise the pair is matched coarse to fine (:mod:`.tiling`): smaller sizes decide which
+disparities a tile searches.
 """
 
 from __future__ import annotations
@@ -23,24 +23,23 @@ from depthcli.methods.stereo.tiling import match_in_tiles
 from depthcli.methods.stereo.volume import StereoResult
 
 TileMode = Literal["auto", "always", "never"]
-"""Whether a pair is matched in tiles; auto: where the whole pair would need more memory than tiles may take."""
+"""Whether a pair is matched in tiles; auto: if the whole pair would need more memory than tiles may take."""
 
-# Upper bound of the memory of this machine while a GPU does the work: the images, the maps and the library.
+# Upper bound of the host's memory while a GPU does the work: the images, the maps and the library.
 _HOST_BYTES_PER_PIXEL, _HOST_BYTES = 200, 64 << 20
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Where a pair may be matched, and in how much memory.
+    """The device and the memory for matching a pair.
 
-    Tiles are chosen by ``tile_memory``, not by the memory that is free, so that the map does not depend on the number
-    of workers.
+    ``tile_memory`` determines the tiles, not the free memory, so that the map does not depend on the number of workers.
     """
 
     memory: int  # bytes that the process may take
     tiles: TileMode = "auto"
-    tile_memory: int = 3072 << 20  # bytes that it may take where the pair is matched in tiles
-    device: Device | None = None  # where to match, if the matcher can; None: on the processor
+    tile_memory: int = 3072 << 20  # bytes that it may take if the pair is matched in tiles
+    device: Device | None = None  # used if the matcher has an implementation for it; None: the CPU
 
     def device_for(self, matcher: PairMatcher) -> Device | None:
         """Return the device, if there is one and the matcher has an implementation for it."""
@@ -57,10 +56,11 @@ def device_table() -> Table:
 def match(
     matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Limits, context: Context | None = None
 ) -> StereoResult:
-    """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive, in the way that ``limits`` ask for.
+    """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive, within ``limits``.
 
-    On the device, where one is given and the matcher has an implementation for it; in tiles, where the whole pair needs
-    more memory than tiles may take, or always; otherwise whole. InputError where memory does not suffice.
+    A device is used if one is given and the matcher has an implementation for it. Otherwise the pair is matched in
+    tiles if it needs more memory than ``limits`` allow, or if ``limits.tiles`` is "always", and whole if not.
+    InputError if memory does not suffice.
     """
     device = limits.device_for(matcher)
     need, has_tiles = _needs(matcher, pair.shape, max_disparity, limits)
@@ -80,16 +80,16 @@ def match(
 
 
 def host_bytes(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> int:
-    """Estimate the memory of this machine that :func:`match` takes for a pair of (H, W) ``shape``, bytes.
+    """Estimate the host's memory that :func:`match` takes for a pair of (H, W) ``shape``, bytes.
 
-    That of the process before, ``BASE_BYTES``, is not among it.
+    ``BASE_BYTES``, the memory that the process takes before, is not included.
     """
     need, has_tiles = _needs(matcher, shape, max_disparity, limits)
     return min(need, limits.tile_memory - BASE_BYTES) if has_tiles else need
 
 
 def _needs(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> tuple[int, bool]:
-    # The memory of this machine for the whole pair, bytes, and whether it may be matched in tiles instead.
+    # The host's memory for the whole pair, bytes, and whether the pair may be matched in tiles instead.
     device = limits.device_for(matcher)
     if device is not None and device.info.is_gpu:
         return _HOST_BYTES_PER_PIXEL * shape[0] * shape[1] + _HOST_BYTES, False

@@ -1,4 +1,4 @@
-"""Networks in ONNX files, run by onnxruntime: what ``pipeline: onnx`` and ``cost: onnx`` have in common.
+"""Networks in ONNX files, run by onnxruntime: the common parts of ``pipeline: onnx`` and ``cost: onnx``.
 
 A :class:`Network` names a file, which its ``session`` opens. The :func:`samples` of a pair are :func:`normalized` and
 :func:`padded` as (H, W, C); :meth:`ImageInput.array` gives them the network's layout, :meth:`Session.run` runs it.
@@ -34,21 +34,21 @@ _TYPES = {
     "tensor(int32)": np.int32,
     "tensor(int64)": np.int64,
 }
-# An entry of a tensor's external data, as protocol buffers write it: "location" -> the size of a path, which follows.
+# A tensor's external data in a protocol buffer: "location", then the size of a path, then the path.
 _LOCATION = re.compile(rb"\n\x08location\x12([\x80-\xff]?[\x01-\x7f])")
 _CUDA = "CUDAExecutionProvider"
 _CHANNELS = (1, 2, 3, 6)
 
 
 class Network(Method):
-    """What all methods that run a network have in common: its file, and the device that it runs on."""
+    """A method that runs a network: its file, and the device that it runs on."""
 
     model: str = Field(min_length=1, description="file of the network, .onnx; from the current folder")
     _device: str = PrivateAttr("cpu")
 
     @property
     def session(self) -> Session:
-        """The network, opened once per process and content; InputError where it cannot be run there."""
+        """The network, opened once per process and content; InputError if it cannot run on its device."""
         try:
             changed = tuple(os.stat(file).st_mtime_ns for file in self.used_files().values())
         except OSError as error:
@@ -56,25 +56,25 @@ class Network(Method):
         return _open_session(self.model, changed, self._device, n_threads())
 
     def prepare(self, device: str) -> None:
-        """Choose where the network runs, ``cpu`` or ``cuda:N``, and check it there: InputError where it cannot."""
+        """Choose the network's device, ``cpu`` or ``cuda:N``, and check it there; InputError if it cannot run."""
         self._device = device
         self.check()
 
     def used_files(self) -> dict[str, Path]:
-        """Return role -> file: the network, and the files with its weights that it names (ONNX: external data)."""
+        """Return role -> file: the network, and the weight files that it names (ONNX: external data)."""
         path, names = Path(self.model), tuple[str, ...]()
-        with contextlib.suppress(OSError):  # opening it says why
+        with contextlib.suppress(OSError):  # opening it raises the error
             names = _weight_files(path, os.stat(path).st_mtime_ns)
         return {"model": path} | {f"model/{name}": path.parent / name for name in names}
 
     @abstractmethod
     def check(self) -> None:
-        """Raise InputError where the network cannot be used."""
+        """Raise InputError if the network cannot be used."""
 
 
 @lru_cache(maxsize=4)
 def _weight_files(model: Path, changed: int) -> tuple[str, ...]:
-    """Return the names of the files with weights that a network names, relative to its folder, sorted."""
+    """Return the names of the weight files that a network names, relative to its folder, sorted."""
     if not model.stat().st_size:
         return ()
     with open(model, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
@@ -84,12 +84,12 @@ def _weight_files(model: Path, changed: int) -> tuple[str, ...]:
 
 
 def networks_in(config: BaseModel) -> list[Network]:
-    """Return all networks of a config, whatever they are a part of."""
+    """Return all networks of a config, at any depth."""
     return [part for part in parts_of(config) if isinstance(part, Network)]
 
 
 def network_device(wanted: str) -> str:
-    """Return where networks run, ``cpu`` or ``cuda:N``, for the text of ``--device``; ConfigError for other kinds."""
+    """Return the networks' device, ``cpu`` or ``cuda:N``, for the text of ``--device``; ConfigError for other kinds."""
     if wanted == "auto":
         return "cuda:0" if _CUDA in _onnxruntime().get_available_providers() else "cpu"
     kind, _, number = wanted.partition(":")
@@ -99,7 +99,7 @@ def network_device(wanted: str) -> str:
 
 
 class ImageInput(NamedTuple):
-    """An input that takes images of 1, 2, 3 or 6 ``channels`` and (H, W) ``size``; None: any."""
+    """An input for images of 1, 2, 3 or 6 ``channels`` and (H, W) ``size``; None: any."""
 
     name: str
     dtype: np.dtype[Any]
@@ -122,15 +122,15 @@ class Session:
 
     model: str  # its file
     images: tuple[ImageInput, ...]
-    counts: dict[str, NDArray[Any]]  # inputs for one whole number: name -> 1 in the shape and type that they take
+    counts: dict[str, NDArray[Any]]  # scalar integer inputs: name -> 1 in their shape and type
     inference: Any
 
     def run(self, values: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Return output's name -> array without a batch of one, in the network's order; InputError where it fails."""
+        """Return output name -> array, without a batch of one, in the network's order; InputError if it fails."""
         names = [output.name for output in self.inference.get_outputs()]
         try:
             arrays = self.inference.run(names, dict(values))
-        except Exception as error:  # onnxruntime has an exception of its own for each code of its C interface
+        except Exception as error:  # onnxruntime has one exception for each code of its C interface
             shapes = ", ".join(f"{name} {value.shape}" for name, value in values.items())
             raise InputError(f"{self.model}: the network fails for {shapes}: {_first_line(error)}") from error
         arrays = [array[0] if array.ndim == 4 and len(array) == 1 else array for array in arrays]
@@ -139,8 +139,8 @@ class Session:
 
 @lru_cache(maxsize=4)
 def _open_session(model: str, changed: tuple[int, ...], device: str, threads: int) -> Session:
-    # Outputs had the same bytes at any number of threads in all networks that were measured (convolutions of 32 bits
-    # and of 8 bits); onnxruntime does not promise it for every operation.
+    # In all networks that were measured (32-bit and 8-bit convolutions), outputs had the same bytes at any number of
+    # threads; onnxruntime does not promise it for every operation.
     runtime = _onnxruntime()
     providers: list[Any] = ["CPUExecutionProvider"]
     if device != "cpu":
@@ -151,8 +151,8 @@ def _open_session(model: str, changed: tuple[int, ...], device: str, threads: in
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.use_deterministic_compute = True
-    options.log_severity_level = 4  # what fails is raised as well
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # other workers need the processor
+    options.log_severity_level = 4  # failures are raised anyway
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # leaves the CPU to other workers
     try:
         inference = runtime.InferenceSession(model, options, providers=providers)
     except Exception as error:  # as above
@@ -176,7 +176,7 @@ def _open_session(model: str, changed: tuple[int, ...], device: str, threads: in
 
 
 def _layout(shape: tuple[int | None, ...]) -> tuple[int | None, bool, tuple[int | None, int | None]] | None:
-    """Return channels, whether they come last, and size of (H, W), (C, H, W), (H, W, C), or a batch of one of these."""
+    """Return channels, whether they are last, and size of (H, W), (C, H, W), (H, W, C) or a batch of one; or None."""
     if len(shape) == 2:
         return 1, False, (shape[0], shape[1])
     if len(shape) != 3 and (len(shape) != 4 or shape[0] not in (None, 1)):
@@ -220,7 +220,7 @@ Normalization = Annotated[
     Annotated[Literal["0-255", "0-1", "imagenet", "image"], Tag("name")] | Annotated[MeanDeviation, Tag("moments")],
     Discriminator(lambda value: "moments" if isinstance(value, dict | MeanDeviation) else "name"),
 ]
-"""Range of the values that a network takes; ``image``: minus their mean over the image, divided by their deviation."""
+"""Range of the values that a network takes; ``image``: their mean over the image is 0, their deviation 1."""
 
 _MOMENTS = {
     "0-1": MeanDeviation(mean=(0.0,), deviation=(1.0,)),
@@ -252,9 +252,9 @@ def normalized(image: NDArray[np.float32], normalization: Normalization, order: 
 
 
 def padded(image: NDArray[np.float32], multiple: int, margin: int = 0) -> NDArray[np.float32]:
-    """Return an (H, W, C) image with ``margin`` pixels more on all sides, and sides that are a ``multiple``.
+    """Return an (H, W, C) image with ``margin`` more pixels on all sides, and sides that are a ``multiple``.
 
-    Its border is repeated outwards; what is missing to the multiple is added below and on the right.
+    The border is repeated outwards; pixels that complete the multiple are added below and on the right.
     """
     missing = [-(side + 2 * margin) % multiple for side in image.shape[:2]]
     return np.pad(image, ((margin, margin + missing[0]), (margin, margin + missing[1]), (0, 0)), mode="edge")

@@ -1,4 +1,4 @@
-"""What the stages of a pipeline hand to each other on a device, and how a stage is run there."""
+"""The types that the stages of a pipeline pass to each other on a device; running a stage there."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _CONVERSIONS = Kernels("depthcli.methods.stereo", "conversions.cl")
 
 @dataclass(frozen=True)
 class DevicePair:
-    """A pair in the memory of the host, whose images are copied to a device when they are first used."""
+    """A pair in host memory, whose images are copied to a device when they are first used."""
 
     device: Device
     host: StereoPair
@@ -44,7 +44,7 @@ class DevicePair:
 
     @cached_property
     def grey(self) -> tuple[DeviceArray, DeviceArray]:
-        """Return both images, (H, W) luma as of :attr:`StereoPair.grey`."""
+        """Return both images, (H, W) luma as :attr:`StereoPair.grey`."""
         height, width = self.shape
         if self.host.left.ndim < 3 or self.host.left.dtype != np.uint8 or self.host.bits not in (None, 8):
             left, right = self.host.grey
@@ -63,9 +63,9 @@ class DevicePair:
         return self.device.upload(left), self.device.upload(right)
 
     def run(self, stage: Any, *arguments: Any) -> Any:
-        """Run a stage by its device implementation or, if it has none, on the processor, with transfers.
+        """Run a stage by its device implementation or, if it has none, on the CPU, with transfers.
 
-        ``arguments`` are those of the stage's ``__call__``, as types of this module.
+        ``arguments`` are the arguments of the stage's ``__call__``, as types of this module.
         """
         if implementation := self.table.get(type(stage)):
             return implementation(stage, *arguments)
@@ -137,7 +137,8 @@ class DeviceMap:
     def refined(self, kernels: Kernels, name: str, inputs: Sequence[DeviceArray] = (), *parameters: Any) -> DeviceMap:
         """Return the map that a kernel with one thread per pixel computes from this one.
 
-        Its arguments are the values and status of the map, ``inputs``, the new values and status, H, W, ``parameters``.
+        The kernel's arguments are values and status of this map, ``inputs``, the new values and status, H, W, and
+        ``parameters``.
         """
         new = DeviceMap.empty(self.device, self.values.shape)
         height, width = self.values.shape
@@ -173,7 +174,7 @@ class DeviceContext:
 
 
 def c_type(dtype: Any) -> str:
-    """Return the name in C of a NumPy type that kernels take."""
+    """Return the C name of a NumPy type that kernels take."""
     return {"uint8": "uchar", "uint16": "ushort", "int16": "short", "float32": "float"}[np.dtype(dtype).name]
 
 

@@ -1,4 +1,4 @@
-"""Rectification without a calibration: rows made to correspond by matched points."""
+"""Rectification without a calibration: matched points are brought to the same rows."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from depthcli.core.errors import InputError
 from depthcli.methods.stereo.view_matching import Points, row_error
 
 _MIN_MATCHES = 20  # for six unknowns
-_MAX_ROW_ERROR = 1.0  # median, pixels, that a pair rectified without calibration may keep: what matching tolerates
-_MAX_STEPS = 60  # of Levenberg-Marquardt; an upper bound, it ends when steps are small
+_MAX_ROW_ERROR = 1.0  # median, pixels, of a pair rectified without calibration; matching tolerates it
+_MAX_STEPS = 60  # of Levenberg-Marquardt, which ends earlier when steps are small
 _FIRST_FOCALS = (1.0, 1.5, 0.7, 2.5)  # starts of the search, in lengths of the longer side: wide to long lenses
 _REGULARIZATION = 0.1  # pixels per radian, and per unit of log f: keeps undetermined parameters at zero
-_MIN_DISPARITY_SHARE = 0.02  # smallest disparity of the matches afterwards, share of the width
+_MIN_DISPARITY_SHARE = 0.02  # smallest disparity of the matches after rectification, share of the width
 
 
 @dataclass(frozen=True)
@@ -43,13 +43,12 @@ class RectifyingHomographies:
 
 
 def rectify_uncalibrated(left: Points, right: Points, size: tuple[int, int]) -> RectifyingHomographies:
-    """Turn both cameras, whose focal length is not known, so that matched points are in the same rows.
+    """Return homographies that bring matched points of cameras of unknown focal length to the same rows.
 
-    The homographies are those of two turned pin-hole cameras of one focal length, so that the images keep their
-    shape (quasi-Euclidean rectification, Fusiello and Irsara, ICPR 2008); only matches that a fundamental matrix
-    explains count (MAGSAC). Afterwards the right view is moved along the rows so that disparities begin a little above
-    0. ``size`` is the (width, height) of both views. InputError where matches are too few, or half of them stay more
-    than a pixel apart.
+    They turn two pin-hole cameras of one focal length, so that the images keep their shape (quasi-Euclidean
+    rectification, Fusiello and Irsara, ICPR 2008). Only matches that a fundamental matrix explains count (MAGSAC). Then
+    the right view is moved along the rows so that disparities begin a little above 0. ``size`` is the (width, height)
+    of both views. InputError if there are too few matches, or if half of them stay more than a pixel apart.
     """
     if len(left) < _MIN_MATCHES:
         raise InputError(f"only {len(left)} key points match, at least {_MIN_MATCHES} are needed to rectify a pair")

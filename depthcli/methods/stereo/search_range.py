@@ -1,4 +1,4 @@
-"""Which disparities are searched, and how a pair is shifted so that its smallest disparity is 0."""
+"""The disparities to search, and the shift of a pair that makes its smallest disparity 0."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.volume import RefinementContext, StereoResult
 
 _SMALL, _LARGER = 5_000, 20_000  # pixels of the two sizes at which a pair is matched to find its range
-_WINDOWS = 7, 5  # pixels, of the census at these sizes
+_WINDOWS = 7, 5  # sides of the census window at these sizes, pixels
 _MIN_SHIFT, _MAX_SHIFT = -0.5, 0.75  # disparities searched at the smaller size, shares of the width
-_TAIL = 0.002  # share of the matches at the smaller size that are ignored at either end: some are wrong
-_MIN_MATCHES, _MIN_MATCHED = 50, 0.1  # pixels, and their share of the larger size; of noise 4 % match by chance
-# Disparities (pixels of the larger size) count that this share of the matches has; more than _GAP of them without any
-# separate groups, of which those of at least _LEAST_GROUP of the matches are things, the others false matches.
+_TAIL = 0.002  # share of the matches at the smaller size to ignore at either end: some are incorrect
+_MIN_MATCHES, _MIN_MATCHED = 50, 0.1  # pixels, and their share of the larger size; in noise 4 % match by chance
+# A disparity (pixels of the larger size) counts if it has this share of the matches. Steps of more than _GAP separate
+# groups. A group with at least _LEAST_GROUP of the matches is an object, a smaller one is false matches.
 _LEAST_SHARE, _GAP, _LEAST_GROUP = 0.0005, 3, 0.01
-# The nearest things, at the left border or thin, are not matched in both views or lost in small images. Shares of the
-# range found: on the Middlebury scenes of 2001 to 2014 and on KITTI at most 0.3 % of the truth lie beyond.
+# The nearest objects are not matched in both views at the left border, and are lost in small images if they are thin.
+# Shares of the range found: at most 0.3 % of the ground truth is beyond, on Middlebury 2001 to 2014 and KITTI.
 _MARGIN_ABOVE, _MARGIN_BELOW = 0.25, 0.1
 _MIN_MARGIN = 2  # pixels of the larger size
-_LEAST_BEHIND = 0.05  # share of matches with negative disparities; fewer are false, in the sky, of parallel cameras
+_LEAST_BEHIND = 0.05  # below this share of matches, negative disparities are false, e.g. in the sky of parallel cameras
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class SearchRange:
         return self.max_disparity - self.min_disparity
 
     def shift(self, pair: StereoPair) -> StereoPair:
-        """Return the pair whose smallest disparity is 0; the pair itself where that is so already.
+        """Return the pair shifted so that its smallest disparity is 0, or the pair itself if it is 0 already.
 
-        Columns are cut off where ``min_disparity`` is positive, since nothing to the left of them can be matched, and
-        repeated where it is negative: every other match keeps its place, inside or outside the right image.
+        If ``min_disparity`` is positive, columns are cut off, because nothing in the left ones can be matched.
+        If it is negative, columns are repeated. Every other match keeps its place, inside or outside the right image.
         """
         if self.min_disparity == 0:
             return pair
@@ -67,8 +67,8 @@ class SearchRange:
     def restore(self, result: StereoResult, width: int) -> StereoResult:
         """Return the shifted pair's result in the pixels and disparities of the pair, which is ``width`` wide.
 
-        Pixels without a partner in the right image, whatever their disparity, are occluded; they are filled by
-        the values next to them where the map has no holes, else they stay empty.
+        Pixels without a partner in the right image, whatever their disparity, are occluded. They take the values next
+        to them if the map has no holes, and otherwise stay empty.
         """
         if self.min_disparity == 0:
             return result
@@ -92,7 +92,7 @@ class SearchRange:
         )
 
     def _picture_of_pair(self, picture: NDArray[Any]) -> NDArray[Any]:
-        """Return a picture of the pair; one of floats is a map of disparities."""
+        """Return a picture in the pair's pixels; the values of a float32 one are disparities, which are shifted."""
         there = self._to_pair(picture)
         return there + np.float32(self.min_disparity) if picture.dtype == np.float32 else there
 
@@ -123,7 +123,7 @@ class MatchedRange(NamedTuple):
         return SearchRange(min(self.low, 0), max(self.top, 1))
 
     def union(self, other: MatchedRange) -> MatchedRange:
-        """Return the smallest range that holds both."""
+        """Return the smallest range that contains both."""
         return MatchedRange(min(self.low, other.low), max(self.top, other.top), self.n_matches + other.n_matches)
 
 
@@ -134,13 +134,13 @@ class _SmallMatches(NamedTuple):
     top: float
     unit: float  # one pixel of the larger size
     n_matches: int
-    n_behind: int  # of them, those below ``-unit``
+    n_behind: int  # matches with a disparity below ``-unit``
 
 
 def matched_range(pair: StereoPair) -> MatchedRange:
     """Return the range of the disparities that a pair has at two small sizes, with a margin.
 
-    InputError where too few pixels match, or a view is flat.
+    InputError if too few pixels match, or a view is flat.
     """
     found = _small_matches(pair)
     shares = _MARGIN_BELOW, _MARGIN_ABOVE
@@ -152,19 +152,19 @@ def matched_range(pair: StereoPair) -> MatchedRange:
 
 
 def matched_beyond(pair: StereoPair, search: SearchRange) -> int | None:
-    """Return the largest disparity that a pair has at two small sizes, where the range ends below it; else None."""
+    """Return the largest disparity that a pair has at two small sizes if the range ends below it; None otherwise."""
     try:
         found = _small_matches(pair)
-    except InputError:  # too few pixels match to say it
+    except InputError:  # too few pixels match
         return None
     return round(found.top) if found.top > search.max_disparity + found.unit else None
 
 
 def _small_matches(pair: StereoPair) -> _SmallMatches:
-    """Match a pair at two small sizes; InputError where too few pixels match, or a view is flat.
+    """Match a pair at two small sizes; InputError if too few pixels match, or a view is flat.
 
-    The smaller one is matched over nearly all disparities, the larger one over those found there; pixels count on
-    which both sizes and both views agree.
+    The smaller size is matched over nearly all disparities, the larger one over the disparities found there. A pixel
+    counts if both sizes and both views agree on it.
     """
     for view, image in zip(("left", "right"), pair.grey8, strict=True):
         if image.min() == image.max():
@@ -219,11 +219,11 @@ def _matched(views: tuple[Image, Image], low: float, top: float, window: int) ->
 def complete_range(
     min_disparity: int | str, max_disparity: int | str | None, pair: StereoPair, known: MatchedRange | None = None
 ) -> tuple[SearchRange, dict[str, int]]:
-    """Replace ends that are "auto" by those of the reduced pair, and a missing upper end by the range that it suggests.
+    """Replace ends that are "auto" by the reduced pair's, and a missing upper end by the range that it suggests.
 
-    ``known`` is the range of the pair's sequence; None: that of the pair itself. Returned are the range and, where an
-    end is "auto", columns of the report: number of matches and their range. InputError where the range is empty, or
-    too few pixels match.
+    ``known`` is the range of the pair's sequence; None: use the pair's own range. Return the range and, if an end is
+    "auto", columns of the report: number of matches and their range. InputError if the range is empty, or if too few
+    pixels match.
     """
     columns = {}
     if max_disparity is None or "auto" in (min_disparity, max_disparity):

@@ -1,4 +1,4 @@
-"""``PairMatcher``, the base of all that match a pair; ``CostStages``, the stages of methods that compute costs."""
+"""``PairMatcher``, the base of all matchers; ``CostStages``, the stages of methods that compute costs."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.refinement import Refinement, RefinementStep
 from depthcli.methods.stereo.volume import CostMinima, CostVolume, RefinementContext, StereoResult
 
-_TILE_HALO = 64  # pixels, for methods of which nothing is known
+_TILE_HALO = 64  # pixels, for methods that do not declare one
 
 
 class PairMatcher(ABC):
-    """Anything that matches a pair (pipelines, fusion), and how :func:`..matching.match` may match a large one."""
+    """A matcher of pairs (pipelines, fusion), and how :func:`..matching.match` may match a large pair."""
 
     uses_devices: ClassVar[bool] = True
-    """Whether :mod:`depthcli.device` opens the devices that it runs on; networks have a runtime that does."""
+    """Whether :mod:`depthcli.device` opens the devices that it runs on; a network's runtime does so itself."""
 
     @abstractmethod
     def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None, /) -> StereoResult:
-        """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive; None: a scene of no folder."""
+        """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive; context None: not part of a scene."""
 
     @abstractmethod
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
@@ -44,13 +44,13 @@ class PairMatcher(ABC):
         return _TILE_HALO
 
     def tile_stages(self) -> CostStages | None:
-        """Return the stages of which only costs are computed tile by tile; None: each tile is a pair of its own."""
+        """Return the stages if only their costs are computed tile by tile; None: each tile is matched as a pair."""
         return None
 
     def prepared(
         self, pair: StereoPair, max_disparity: int, context: Context | None, clock: Clock
     ) -> tuple[StereoPair, Self]:
-        """Return the pair after steps that look at the whole of it, and a matcher without them for its tiles."""
+        """Return the pair after the steps that need all of it, and a matcher without these steps for its tiles."""
         return pair, self
 
 
@@ -69,12 +69,12 @@ class CostStages(ConfigModel):
     )
 
     def match(self, pair: StereoPair, max_disparity: int, clock: Clock) -> StereoResult:
-        """Match a pair by these stages over disparities 0 .. ``max_disparity`` inclusive; ``clock`` books them."""
+        """Match a pair by these stages over disparities 0 .. ``max_disparity`` inclusive; ``clock`` measures them."""
         volume = self.volume(pair, max_disparity, clock)
         return finish(pair, volume, self.optimization, self.refinement, self.confidence, clock)[0]
 
     def volume(self, pair: StereoPair, max_disparity: int, clock: Clock) -> CostVolume:
-        """Compute the costs of disparities 0 .. ``max_disparity`` before optimization; ``clock`` books the stages."""
+        """Compute costs of disparities 0 .. ``max_disparity`` before optimization; ``clock`` measures the stages."""
         clock.start("cost")
         volume = self.cost.checked_costs(pair, max_disparity + 1)
         clock.start("aggregation")
@@ -83,9 +83,9 @@ class CostStages(ConfigModel):
         return volume
 
     def volume_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Return the bytes of all volumes that exist at a time, and of what the cost measure needs beside.
+        """Return the bytes of all volumes that exist at a time, and of the cost measure's temporary memory.
 
-        The largest of: two raw volumes; raw, aggregated and sums of arms; optimized beside aggregated or raw.
+        The largest of: two raw volumes; raw, aggregated and sums of arms; optimized and aggregated or raw.
         """
         aggregated = self.aggregation is not None
         optimized = not isinstance(self.optimization, WinnerTakesAll)
@@ -110,9 +110,9 @@ def finish(
     confidence: Iterable[str],
     clock: Clock,
 ) -> tuple[StereoResult, NDArray[np.uint16], NDArray[np.uint16]]:
-    """Compute the map of a cost volume: optimization, winners, refinement, confidence; ``clock`` books the stages.
+    """Compute the map of a cost volume: optimization, winners, refinement, confidence; ``clock`` measures the stages.
 
-    Returned are the result, and the (H, W) uint16 winners of the left and the right view that the map was refined from.
+    Return the result, and the (H, W) uint16 winners of the left and the right view that the map was refined from.
     """
     clock.start("optimization")
     volume = optimization(volume, pair)

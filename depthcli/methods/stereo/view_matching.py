@@ -1,4 +1,4 @@
-"""Key points of two views that are not rectified, matched, and how far apart their rows are."""
+"""Matched key points of two views that are not rectified, and the difference of their rows."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 Points = NDArray[np.float64]
 """(N, 2) x and y, pixels."""
 
-_MAX_PIXELS = 2_000_000  # larger images are reduced to this size for key points: more of them add little
+_MAX_PIXELS = 2_000_000  # larger images are reduced to this size for key points: more pixels add little
 _MAX_KEY_POINTS = 6000
 _RATIO = 0.75  # a match must be nearer than this times the second candidate (Lowe, IJCV 2004, has 0.8)
 
 
 def match_views(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[Points, Points]:
-    """Match key points (SIFT, mutual nearest neighbors, ratio test) of two (H, W) uint8 views; some pairs are wrong."""
+    """Return matched key points (SIFT, mutual nearest neighbors, ratio test) of two (H, W) uint8 views, some wrong."""
     found = []
     for image in (left, right):
         height, width = image.shape
@@ -42,5 +42,5 @@ def match_views(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[Poin
 
 
 def row_error(left: Points, right: Points) -> float:
-    """Return the median difference of the rows of matched points, pixels; NaN without any."""
+    """Return the median difference of the rows of matched points, pixels; NaN if there are none."""
     return float(np.median(np.abs(left[:, 1] - right[:, 1]))) if len(left) else float("nan")

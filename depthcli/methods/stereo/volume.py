@@ -1,7 +1,7 @@
-"""What the stages of a stereo pipeline hand to each other: cost volumes, what refinement may look at, the result.
+"""The types that the stages of a stereo pipeline pass to each other: cost volumes, data for refinement, the result.
 
-Aggregated costs are fixed-point means: uint16 with four fractional bits more than a uint8 cost has, so that a mean
-never exceeds 255 * 16 = 4080 and eight path costs of a scanline optimizer fit into 16 bits.
+Aggregated costs are fixed-point means: uint16 with four more fractional bits than uint8 costs. So a mean never exceeds
+255 * 16 = 4080, and eight path costs of a scanline optimizer fit into 16 bits.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ class CostVolume:
     """Matching costs of every pixel and disparity; lower is better.
 
     ``costs`` is (H, W, D), C-contiguous, uint8, uint16 or float32; ``costs[y, x, d]`` compares left (y, x) with right
-    (y, x - d). Every cell is finite. Cells with d > x lie outside the right image: they hold a neutral cost, and
-    whoever selects or counts disparities skips them. ``costs / scale`` is the measure's cost.
+    (y, x - d). Every cell is finite. Cells with d > x are outside the right image: they have a neutral cost, and are
+    skipped when disparities are selected or counted. ``costs / scale`` is the measure's cost.
     """
 
     costs: NDArray[Any]
@@ -46,10 +46,10 @@ class CostVolume:
 
 @dataclass(frozen=True)
 class CostMinima:
-    """The cheapest cells of a volume; of a pair matched in tiles, whose volume was never whole, nothing else is kept.
+    """The cheapest cells of a volume. If a pair was matched in tiles, nothing else is kept.
 
-    ``minima`` are those of the parabolas through the cheapest cells and the ones beside them; the disparity itself
-    where it is no local minimum.
+    ``minima`` are the minima of the parabolas through the cheapest cells and the ones next to them, or the disparity
+    itself if it is no local minimum.
     """
 
     left: NDArray[np.uint16]  # (H, W), disparities of the cheapest cells
@@ -58,7 +58,7 @@ class CostMinima:
 
     @classmethod
     def of(cls, volume: CostVolume) -> tuple[CostMinima, NDArray[np.uint16]]:
-        """Return the cheapest cells of a volume, and the (H, W) disparities of those of the right view."""
+        """Return the cheapest cells of a volume, and the (H, W) disparities of the right view's cheapest cells."""
         minima = np.empty(volume.costs.shape[:2], np.float32)
         left, right = winners(volume.costs, minima)
         return cls(left, minima, volume.n_disparities), right
@@ -66,19 +66,19 @@ class CostMinima:
 
 @dataclass(frozen=True)
 class RefinementContext:
-    """What refinement steps may look at beside the map they refine.
+    """Data for refinement steps besides the map that they refine.
 
-    ``volume`` is the one whose cheapest cells the map holds; for steps without ``needs_costs``, maybe only its minima.
+    ``volume`` is the one whose cheapest cells are in the map; steps without ``needs_costs`` may only get its minima.
     """
 
     pair: StereoPair
     volume: CostVolume | CostMinima
-    right: NDArray[Any]  # (H, W) uint16 or float32, of the right view, read from the volume along its diagonals
+    right: NDArray[Any]  # (H, W) uint16 or float32 disparities of the right view, read along the volume's diagonals
     known: CostMinima | None = None
 
     @property
     def minima(self) -> CostMinima:
-        """The cheapest cells of the volume; computed where ``known`` does not give them."""
+        """The cheapest cells of the volume; computed if ``known`` does not give them."""
         if isinstance(self.volume, CostMinima):
             return self.volume
         return CostMinima.of(self.volume)[0] if self.known is None else self.known
@@ -126,7 +126,7 @@ def _scale(begin, end, costs, factor, fixed):
 
 
 def fill_outside(costs: NDArray[Any], outside: np.generic) -> None:
-    """Set the cells of (H, W, D) costs whose match lies outside the right image, d > x."""
+    """Set the cells of (H, W, D) costs whose match is outside the right image, d > x."""
     run_bands(_fill_outside, len(costs), costs, outside)
 
 

@@ -1,6 +1,6 @@
-"""Choice: which of several maps is right at a pixel. One file per method.
+"""Choice: which of several maps is taken at a pixel. One file per method.
 
-In: :class:`Proposals`, N maps (N, H, W) with the images and the fused costs. Out: a :class:`ChosenMap` (H, W).
+Input: :class:`Proposals`, N maps (N, H, W) with the images and the fused costs. Output: a :class:`ChosenMap` (H, W).
 ``energy`` cuts graphs and takes any maps; ``network`` was trained for certain maps.
 """
 
@@ -22,11 +22,11 @@ from depthcli.methods.stereo.volume import CostVolume
 
 @dataclass(frozen=True)
 class Proposals(Views):
-    """N maps to choose from, with the data that they are judged by."""
+    """N maps to choose from, with the data to judge them."""
 
     kinds: tuple[str, ...]  # names of the methods that made them
     values: NDArray[np.float32]  # (N, H, W) float32 disparities without gaps, 0 .. D - 1
-    filled: NDArray[np.uint8]  # (N, H, W) uint8: 0 measured, 1 filled, 2 filled where the right view does not see
+    filled: NDArray[np.uint8]  # (N, H, W) uint8: 0 measured, 1 filled, 2 filled and hidden from the right view
     weights: NDArray[np.float32]  # (N,) float32, weight of every map in the agreement of maps
     pair: StereoPair  # the images
     volume: CostVolume  # the fused costs
@@ -35,7 +35,7 @@ class Proposals(Views):
 
 @dataclass(frozen=True)
 class ChosenMap:
-    """The chosen map, (H, W) float32, and its probability to be right, None where the method does not know it."""
+    """The chosen map, (H, W) float32, and its probability to be correct; None if the method does not compute it."""
 
     values: NDArray[np.float32]
     probability: NDArray[np.float32] | None = None
@@ -45,7 +45,7 @@ class ChoiceMethod(Method):
     """A way to choose one of several maps at every pixel."""
 
     confidences: ClassVar[tuple[str, ...]] = ()
-    """Names of the confidences that it gives."""
+    """Names of the confidences that it computes."""
 
     @property
     def network_name(self) -> str | None:
@@ -61,7 +61,7 @@ class ChoiceMethod(Method):
         """Choose one of the proposals at every pixel."""
 
     def bytes_per_pixel(self, count: int) -> int:
-        """Estimate the working memory beside ``count`` proposals, bytes per pixel."""
+        """Estimate the working memory besides ``count`` proposals, bytes per pixel."""
         return 0
 
 

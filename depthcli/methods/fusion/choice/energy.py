@@ -1,4 +1,4 @@
-"""Choice by graph cuts: the mix of the proposals of least energy. Needs no training, takes any proposals."""
+"""Choice by graph cuts: the mix of proposals with the least energy. It needs no training and takes any proposals."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
 from depthcli.methods.fusion.map_costs import NEIGHBORS, VIEW_PLANES, disagreements, misfit
 
 Weights = tuple[NDArray[np.float32], NDArray[np.float32]]
-"""Of the pairs along the rows, (H, W - 1), and along the columns, (H - 1, W)."""
+"""Weights of the pairs along the rows, (H, W - 1), and along the columns, (H - 1, W)."""
 
 
 class LeastEnergyChoice(ChoiceMethod):
-    """The smooth mix of maps that costs, the other maps and the right view contradict least, by graph cuts.
+    """The smooth mix of maps that is least contradicted by costs, other maps and the right view, by graph cuts.
 
-    The energy of a map is the sum over its pixels of ``cost_weight`` times the matching cost along it,
-    ``agreement_weight`` times the weighted share of the other maps that disagree, ``visibility_weight`` times how far
-    the right view contradicts it, each averaged over pixels of similar color, and of a smoothness term in which slopes
-    cost nothing. From the map of the largest weight on, every map is offered in turn, their median first, and the
-    best mix of it with the current one is kept (fusion moves: Lempitsky, Rother, Roth and Blake, PAMI 2010).
+    The energy of a map is a sum over its pixels plus a smoothness term, in which slopes cost nothing. A pixel costs
+    ``cost_weight`` times the matching cost along the map, ``agreement_weight`` times the weighted share of the other
+    maps that disagree, and ``visibility_weight`` times how far the right view contradicts the map. Each is averaged
+    over pixels of similar color. The first map is the one with the largest weight. Every other map is offered in turn,
+    the median first, and its best mix with the current map is kept (fusion moves: Lempitsky, Rother, Roth and Blake,
+    PAMI 2010).
     """
 
     cost_weight: float = Field(2.0, ge=0, le=1e3, description="weight of the fused costs, in units of one measure")
@@ -97,10 +98,10 @@ def energy(candidate: ScoredMap, weights: Weights, truncation: float) -> float:
 def _pair_costs(
     axis: int, first: ScoredMap, second: ScoredMap, weights: Weights, truncation: float
 ) -> NDArray[np.float32]:
-    """Return costs of neighbors that do not continue each other along their slopes, which cost nothing themselves.
+    """Return costs of neighbors that do not continue each other along their slopes; the slopes cost nothing.
 
     ``weight min(truncation, mean of |d_q - d_p - g_p| and |d_q - d_p - g_q|)`` for a pixel p of ``first`` and the next
-    one q of ``second`` in its row or column.
+    pixel q of ``second`` in its row or column.
     """
     here, there = NEIGHBORS[axis]
     ends = first.values[here], second.values[there], first.slopes[axis][here], second.slopes[axis][there]
@@ -110,10 +111,10 @@ def _pair_costs(
 def best_mix(
     current: ScoredMap, proposal: ScoredMap, weights: Weights, truncation: float, min_difference: float = 0.25
 ) -> ScoredMap:
-    """Return the mix of two maps of least energy; ``current`` itself where no mix is better.
+    """Return the mix of two maps with the least energy, or ``current`` itself if no mix is better.
 
-    One minimum cut (fusion moves: Lempitsky et al., PAMI 2010). Pairs that it cannot represent cost more when
-    exactly one of the two switches; so the energy is compared at the end. Where the two differ by less than
+    One minimum cut (fusion moves: Lempitsky et al., PAMI 2010). Pairs that it cannot represent cost more if exactly
+    one of the two pixels switches, so the energies are compared at the end. Where the maps differ by less than
     ``min_difference`` pixels (chosen by hand), ``current`` stays.
     """
     shape = current.values.shape
@@ -121,7 +122,7 @@ def best_mix(
     if not apart.any():
         return current
     # Pair costs are E00 + (E10 - E00) x_p + (E11 - E10) x_q + (E01 + E10 - E00 - E11) (1 - x_p) x_q, with x = 1
-    # where a pixel switches; the last factor is raised to 0 where it is negative. Pixels that are not apart stay.
+    # if a pixel switches. The last factor is raised to 0 if it is negative. Pixels that are not apart stay.
     score = (proposal.cost - current.cost).astype(np.float64)
     nodes = np.cumsum(apart).reshape(shape) - 1
     pairs = []

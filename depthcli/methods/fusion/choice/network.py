@@ -1,4 +1,4 @@
-"""Choice by a small network that was trained where maps like these are wrong, and its inputs."""
+"""Choice by a small trained network, and the network's inputs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from depthcli.methods.fusion.map_costs import disagreements, hidden_jumps, image
 from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, Support
 
 MAX_MAPS = BLOCK_DEPTH
-"""Most maps that are chosen among: all shares of a pixel are averaged in one block."""
+"""Largest number of maps to choose among: all shares of a pixel are averaged in one block."""
 
 PROPOSAL_PLANES = (
     *("cost_wide", "jump_wide", "disagreement_wide", "contradiction_wide"),
@@ -44,9 +44,9 @@ PROPOSAL_PLANES = (
 """Planes of every proposal, one value per pixel, in their order. ``narrow``, ``wide`` and ``region`` are means over
 that support; numbers are the sides of windows in pixels.
 
-Those that are not here are described with ``map_costs.VIEW_PLANES``.
+Planes that are not in this table are described with ``map_costs.VIEW_PLANES``.
 
-| plane | what it measures |
+| plane | measure |
 |---|---|
 | ``disagreement`` | share of the other maps that disagree |
 | ``decorrelation`` | 1 - correlation of the left image and the right one, warped by the map |
@@ -54,22 +54,22 @@ Those that are not here are described with ``map_costs.VIEW_PLANES``.
 | ``slope_x``, ``slope_y`` | change to the next pixel of the row, of the column, pixels |
 | ``above_mean`` | disparity above the mean of a window, pixels |
 | ``filled`` | 0 measured, 1 filled, 2 filled and occluded |
-| ``jump`` | steps to the neighbors beyond a pixel where the color stays the same |
+| ``jump`` | steps of more than a pixel to neighbors of the same color |
 """
 RELATIVE = (
     *("cost_wide", "cost_narrow", "decorrelation", "color_difference_5"),
     *("cost_region", "disagreement_region", "contradiction_region", "jump_wide", "jump_region"),
 )
-"""These planes are also given relative to the smallest value among the proposals (``<name>_relative``)."""
+"""Planes that are also given relative to the smallest value among the proposals (``<name>_relative``)."""
 PIXEL_PLANES = ("min_cost", "deviation_5", "deviation_13", "gradient", "filled_share", "light_trust")
 """Planes of the pixel, the same for all proposals: its smallest cost, standard deviations of windows and gradient of
-the left image (grey levels), share of the proposals that are filled, and how far its light is trusted (0 .. 1)."""
+the left image (grey levels), share of the proposals that are filled, and trust in its light (0 .. 1)."""
 AGREEING = 1.5
-"""Two proposals do not agree that are so far apart, pixels. Chosen on data sets that the network had not seen."""
+"""Proposals that are closer than this agree, pixels. Chosen on held-out data sets."""
 
-# Networks are trained with these; another value needs another training.
+# Networks are trained with these values; other values need another training.
 _MAX_DISTANCE = np.float32(4.0)  # between two proposals, pixels
-_MAX_COSTS = (0.7, 1.5)  # along a map: of means over wide supports, over the narrow one
+_MAX_COSTS = (0.7, 1.5)  # along a map: for means over the wide supports, over the narrow one
 _MAX_MISFIT = np.float32(2.0)  # between neighbors, pixels
 _REACH = 9  # half side of the window that slopes are fitted in, pixels
 _RELATIVE_INDICES = np.array([PROPOSAL_PLANES.index(name) for name in RELATIVE])
@@ -99,7 +99,7 @@ class NetworkInputs:
         plane = dict(zip(PROPOSAL_PLANES, own, strict=True))
         shared = memory.empty((len(PIXEL_PLANES), height, width), np.float32)
         pixel = dict(zip(PIXEL_PLANES, shared, strict=True))
-        # The first three rows of names: four means over each support, of neighbors among these six.
+        # The first three rows of names: means over each support, of four consecutive planes of these six.
         cost, jump, disagreement, contradiction, uncut, hidden = raw = memory.empty((6, *maps.shape), np.float32)
         warped = memory.empty(maps.shape, np.float32)
         views = {"cost": cost, "uncut_cost": uncut, "contradiction": contradiction, "hidden": hidden, "warped": warped}
@@ -120,7 +120,7 @@ class NetworkInputs:
             plane["slope_x"][k], plane["slope_y"][k] = slopes(values, image, _REACH)
         run_bands(_misfits, height, maps, plane["slope_x"], plane["slope_y"], plane["roughness"])
         for rough, mean in zip(plane["roughness"], plane["roughness_9"], strict=True):
-            cv2.blur(rough, (9, 9), dst=mean)  # many are 0, where sums made otherwise leave other rests
+            cv2.blur(rough, (9, 9), dst=mean)  # many are 0, where sums in another order leave other remainders
         for side in (11, 25):
             above = window_means(maps, side, plane[f"above_mean_{side}"])
             np.clip(np.subtract(maps, above, out=above), -6, 6, out=above)
@@ -138,7 +138,7 @@ class NetworkInputs:
 
 @jit
 def _misfits(begin, end, maps, slope_x, slope_y, out):
-    # The sums over the four neighbors: left, right, upper, lower.
+    # Sums over the four neighbors: left, right, upper, lower.
     count, height, width = maps.shape
     for y in range(begin, end):
         misfit = np.empty(width, np.float32)
@@ -162,14 +162,15 @@ def _misfit_of_neighbors(here, there, slope_here, slope_there, out):
 
 
 class NetworkChoice(ChoiceMethod):
-    """The proposal that a small network finds most likely to be right within a pixel, with those that agree with it.
+    """The proposal that a small network rates most likely to be correct within a pixel, mixed with those that agree.
 
     For every proposal of a pixel the network, the same one for all pixels, gets some forty inputs: the costs along it,
-    which others agree, what the right view says, its shape. Its outputs become shares by a softmax over the
-    proposals and are averaged over neighbors of similar color. The proposal wins whose share, with half of what agrees
-    with it, is largest; the value is the mean of those that agree, weighted by their shares. Selecting by a trained
-    classifier among what several scanline optimizations propose goes back to Schoenberger, Sinha and Pollefeys (ECCV
-    2018); the probability of the winner is a confidence. `scripts/train_choice.py` trains networks for other proposals.
+    the other maps that agree, its match in the right view, its shape. Its outputs become shares by a softmax over the
+    proposals and are averaged over neighbors of similar color. The winner is the proposal with the largest share, to
+    which agreeing proposals add half of theirs. The value is the mean of the proposals that agree, weighted by their
+    shares. Schoenberger, Sinha and Pollefeys (ECCV 2018) introduced the selection by a trained classifier among the
+    proposals of several scanline optimizations. The probability of the winner is a confidence.
+    `scripts/train_choice.py` trains networks for other proposals.
     """
 
     confidences: ClassVar[tuple[str, ...]] = ("probability",)
@@ -207,11 +208,11 @@ class NetworkChoice(ChoiceMethod):
 def likeliest(
     maps: NDArray[np.float32], odds: NDArray[np.float32], support: Support, agreeing: float = 0.0
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the values whose share of the softmax of ``odds`` (N, H, W), averaged over the support, is largest.
+    """Return the values with the largest share of the softmax of ``odds`` (N, H, W), averaged over the support.
 
-    Maps agree less and less up to ``agreeing`` pixels: half of the shares that agree count, too, and the value is the
-    mean weighted by shares and agreement. 0: none agrees. Returned with the values is the probability that the chosen
-    map is right, by its own odds; both (H, W).
+    The agreement of two maps falls to 0 at ``agreeing`` pixels (0: none agrees). Half of the shares that agree count
+    for a map, too, and the value is the mean weighted by shares and agreement. Also return the probability that the
+    chosen map is correct, by its own odds. Both are (H, W) float32.
     """
     _, height, width = maps.shape
     shares = memory.empty((height, width, MAX_MAPS), np.float32)
@@ -223,7 +224,7 @@ def likeliest(
 
 
 def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.float32]:
-    """Return the log odds of every proposal to be right, (N, P) float32."""
+    """Return the log odds of every proposal to be correct, (N, P) float32."""
     own, shared, values = (at_least_wide(planes) for planes in (inputs.own, inputs.shared, inputs.values))
     odds = np.empty(values.shape, np.float32)
     network = trained.mean, trained.scale, trained.layers[0][1], *kernel_layers(trained)
@@ -235,7 +236,7 @@ def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.fl
 
 @jit
 def _evaluate(begin, end, own, shared, values, relative, mean, scale, offsets, w1, w2, b2, w3, b3, out):
-    # The inputs of a few pixels at a time, in the order of NetworkInputs.rows, are never stored for more.
+    # Inputs, in the order of NetworkInputs.rows, are only computed and stored for a few pixels at a time.
     count, pixels = values.shape
     n_own, n_relative = own.shape[0], relative.size
     last = mean.size - shared.shape[0]
@@ -246,7 +247,7 @@ def _evaluate(begin, end, own, shared, values, relative, mean, scale, offsets, w
         zero, start = wide_zero(), task * CHUNK
         largest = splat_like(zero, _MAX_DISTANCE)
         for at in range(start, min(pixels, start + CHUNK), WIDE):
-            first = min(at, pixels - WIDE)  # the last ones overlap others, to the same effect
+            first = min(at, pixels - WIDE)  # the last ones overlap others, with the same result
             for k in range(shared.shape[0]):
                 plane = load_like(zero, shared, k * pixels + first)
                 set_input(plane, mean[last + k], scale[last + k], inputs, last + k)

@@ -1,8 +1,8 @@
-"""Adjustment of a pair before matching: noise, rows that do not quite match, light that differs.
+"""Adjustment of a pair before matching: noise, small errors of rows, and different light.
 
 Real pairs are rectified to a fraction of a pixel, and taken by two cameras or one after the other. The errors of rows
-and light vary smoothly over the image, so a match of the pair at a reduced size is enough to measure them; corrected
-once, no matching cost has to tolerate them.
+and light vary smoothly over the image, so a match at a reduced size is enough to measure them. Once they are
+corrected, no matching cost has to tolerate them.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Adjust = Annotated[
     ),
 ]
 
-# The match at the reduced size: in about a tenth of the time of `stereo accurate`.
+# The match at the reduced size takes about a tenth of the time of `stereo accurate`.
 _MAX_PIXELS, _MAX_COSTS = 1 << 17, 1 << 24
 _STAGES = CostStages(
     cost=Census(window=(7, 7)),
@@ -50,11 +50,11 @@ _STAGES = CostStages(
     refinement=(LeftRightCheck(), SpeckleFilter(size=50), Subpixel()),
 )
 
-_MIN_DISPARITIES = 3  # with one or two the left-right check rejects nothing
+_MIN_DISPARITIES = 3  # with one or two, the left-right check rejects nothing
 _MIN_MATCHES = 500  # enough for 6 coefficients and for gains that vary over the image
-_MIN_SHARE_OF_MATCHES = 0.9  # of the largest number so far: with fewer, the last correction made the pair worse
+_MIN_SHARE_OF_MATCHES = 0.9  # of the most matches so far: fewer mean that the last correction made the pair worse
 _MAX_PASSES = 4
-_REMATCH_THRESHOLD = 0.3  # rows of the reduced size, sum over the coefficients: census costs tolerate less
+_REMATCH_THRESHOLD = 0.3  # rows of the reduced size, summed over coefficients; census costs tolerate smaller changes
 
 
 def adjusted(
@@ -62,13 +62,13 @@ def adjusted(
 ) -> StereoPair:
     """Return the pair without noise, with the rows and the light of its right image adjusted to the left one.
 
-    ``noise``: see :func:`.noise.denoised`. For the others the pair is matched at a reduced size (census, scanlines).
-    ``rows``: the vertical shift, a polynomial of the second degree over the image, at which the grey levels of the
-    matches differ least (robustly weighted Gauss-Newton steps), is removed by cubic interpolation along the columns;
-    where it was large, the corrected pair is matched again. ``light``: every channel is multiplied by the local ratio
-    of the left to the right grey levels of the matches; the differences that remain give the pair's ``light_trust``.
-    Only noise changes the left image. Disparities, at most ``max_disparity``, stay as they are. ``clock`` receives the
-    seconds as the stage "adjustment". ``context`` keeps the result for the next matcher of the pair.
+    ``noise``: see :func:`.noise.denoised`. ``rows`` and ``light`` are measured on matches at a reduced size (census,
+    scanlines). ``rows``: the vertical shift is a polynomial of the second degree over the image, fitted so that the
+    grey levels of matches differ least (robustly weighted Gauss-Newton steps). Cubic interpolation along the columns
+    removes it. After a large shift, the corrected pair is matched again. ``light``: every channel is multiplied by the
+    local ratio of the left to the right grey levels of matches. The remaining differences give the pair's
+    ``light_trust``. Only ``noise`` changes the left image. Disparities, at most ``max_disparity``, do not change.
+    ``clock`` receives the seconds as stage "adjustment". ``context`` keeps the result for the next matcher of the pair.
     """
     if not what:
         return pair
@@ -108,7 +108,7 @@ class AdjustingMatcher(PairMatcher, BaseModel):
 
 
 def _reduced(pair: StereoPair, max_disparity: int) -> tuple[StereoPair, int]:
-    # The pair at the size at which it is matched, 8 bits in color, and by what factor its sides are smaller.
+    # The pair at the reduced size, in 8-bit color, and the factor by which its sides are smaller.
     factor, n_pixels = 2, pair.shape[0] * pair.shape[1]
     while n_pixels > _MAX_PIXELS * factor**2 or n_pixels * max_disparity > _MAX_COSTS * factor**3:
         factor *= 2
@@ -120,7 +120,7 @@ def _reduced(pair: StereoPair, max_disparity: int) -> tuple[StereoPair, int]:
 
 
 def _estimated(reduced: StereoPair, max_disparity: int, what: Adjust) -> tuple[Correction, NDArray[np.float32] | None]:
-    """Return the correction of a reduced pair's right image, and the disparities that it was estimated from."""
+    """Return the correction of a reduced pair's right image, and the disparities used to estimate it."""
     correction = previous = IDENTITY
     disparity, max_matches = None, 0
     for _ in range(_MAX_PASSES):
@@ -142,7 +142,7 @@ def _estimated(reduced: StereoPair, max_disparity: int, what: Adjust) -> tuple[C
 
 
 def _matched(pair: StereoPair, max_disparity: int) -> NDArray[np.float32] | None:
-    # Disparities of a reduced pair, NaN without a match; None where there are too few of them.
+    # Disparities of a reduced pair, NaN without a match; None if there are too few.
     if min(pair.shape) < BLOCK or max_disparity + 1 < _MIN_DISPARITIES:
         return None
     disparity = _STAGES.match(pair, max_disparity, Clock()).disparity

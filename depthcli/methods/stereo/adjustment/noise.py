@@ -1,7 +1,7 @@
-"""Sensor noise: how strong it is beside the contrast of a pair, and its removal before matching.
+"""Sensor noise: its strength relative to the contrast of a pair, and its removal before matching.
 
-Costs of single pixels are of little use for a pair taken in the dark: most of the differences that they measure are
-noise. Means over pixels of similar color do, and both images can be averaged before any measure compares them.
+In a pair taken in the dark, costs of single pixels measure mostly noise. Means over pixels of similar color measure
+texture, so both images are averaged before any cost compares them.
 """
 
 from __future__ import annotations
@@ -18,35 +18,35 @@ from numpy.typing import NDArray
 from depthcli.core.frames import Image, StereoPair
 from depthcli.kernels.jit import jit, run_bands
 
-_BLOCK, _REGION = 8, 32  # sides of the blocks that noise and of the regions that contrast is measured in, pixels
-_FLAT_PERCENTILE = 10  # blocks with less energy: nearly all of it is noise
+_BLOCK, _REGION = 8, 32  # sides of the blocks that measure noise and of the regions that measure contrast, pixels
+_FLAT_PERCENTILE = 10  # blocks with less energy contain hardly anything but noise
 _SECOND_DIFFERENCE = np.outer((1, -2, 1), (1, -2, 1)).astype(np.float32) / 6  # keeps the variance of white noise
-_TEXTURE_GROWTH = 1.44  # ratio of the energies of texture, halved over full size; that of white noise is 1/4
-_ROUNDING_NOISE = 0.25  # standard deviation, levels: never less is assumed
-_NOISY, _CLEAN = 8.0, 14.0  # contrast over noise: the whole effect and none
-_RADII = 3, 10  # of the filter's window, pixels: for white noise, at most
-_DARK = 0.15  # that percentile, parts of the range, below which noise may be of several pixels' size
-_SHARED_NOISE = 1.5  # 4 times the deviation of means over 4 x 4 pixels, over that of pixels; noise of 1 to 2 pixels
-_MATCHED, _ALIKE = 40, (0.7, 0.85)  # percentile of energy of blocks that are matched; correlation of noise, of texture
-_DIFFERING, _BURIED = 0.5, 3.5  # share of noise, and contrast over noise: from and up to which a dark pair is whitened
-_SPECTRUM, _SPREAD = 32, 0.12  # side of the blocks of a spectrum; deviation after whitening, parts of the range
-_ROUNDING_POWER, _MAX_BLOCKS = 1 / 36, 2048  # of the mean of three rounded channels; blocks that a spectrum is made of
-_WHITENED_RADIUS = 5  # chosen on generated scenes and those of 2005, _BURIED on a KITTI frame, too
-_NOISE_LIMIT = 3.0  # standard deviations: variance of a window that is half averaged away
-_BRIGHT_PERCENTILE, _BRIGHT = 90, 0.55  # where that percentile of the levels is raised to, parts of the range
+_TEXTURE_GROWTH = 1.44  # energy of texture at half size over its energy at full size; white noise has 1/4
+_ROUNDING_NOISE = 0.25  # smallest standard deviation that is assumed, levels
+_NOISY, _CLEAN = 8.0, 14.0  # contrast over noise: full effect below, no effect above
+_RADII = 3, 10  # of the filter's window, pixels: for white noise, maximum
+_DARK = 0.15  # a pair is dark if the 90th percentile is below this part of the range; its noise may span several pixels
+_SHARED_NOISE = 1.5  # 4 x deviation of 4 x 4 means, over deviation of pixels; of noise with grains of 1 to 2 pixels
+_MATCHED, _ALIKE = 40, (0.7, 0.85)  # percentile of energy of the blocks to be matched; correlation of noise, of texture
+_DIFFERING, _BURIED = 0.5, 3.5  # a dark pair is whitened above this share of noise and below this contrast over noise
+_SPECTRUM, _SPREAD = 32, 0.12  # side of a spectrum's blocks, pixels; deviation after whitening, parts of the range
+_ROUNDING_POWER, _MAX_BLOCKS = 1 / 36, 2048  # rounding noise of the mean of three channels; most blocks of a spectrum
+_WHITENED_RADIUS = 5  # pixels; chosen on generated scenes and on scenes of 2005, _BURIED also on a KITTI frame
+_NOISE_LIMIT = 3.0  # standard deviations of the noise: a window with this deviation is averaged by half
+_BRIGHT_PERCENTILE, _BRIGHT = 90, 0.55  # this percentile of the levels is raised to this part of the range
 _MAX_GAIN = 24.0
-_STRIP = 512  # rows that are filtered at a time
+_STRIP = 512  # rows filtered at a time
 
 
 def denoised(pair: StereoPair) -> StereoPair:
-    """Return a pair without most of its noise, and brightened where it is dark; a pair of little noise as it is.
+    """Return a pair without most of its noise, and brighter if it is dark. A pair with little noise is not changed.
 
-    Both images are averaged by a guided filter (He, Sun, Tang, TPAMI 2013) whose guide is the mean of the channels,
-    with an epsilon of (3 deviations of the noise) squared. Its window has 7 x 7 pixels, more if neighbors share the
-    noise. A dark pair is brightened by a curve ``g v / (1 + (g - 1) v)``, v in [0, 1], that raises the 90th percentile
-    to 0.55, as measures compare levels with constants. The result has 16 bits: rounding would bring noise back. Between
-    a contrast over noise of 14 and 8 the effect grows from none to the whole. A dark pair in noise as coarse as texture
-    is whitened, see :func:`whitening`: averaging would take away the texture.
+    A guided filter averages both images (He, Sun, Tang, TPAMI 2013). Its guide is the mean of the channels, its epsilon
+    is (3 deviations of the noise) squared. Its window has 7 x 7 pixels, or more if neighbors share the noise. If the
+    90th percentile of the levels is below 0.55, a curve ``g v / (1 + (g - 1) v)``, v in [0, 1], raises it, because
+    costs compare levels with constants. The result has 16 bits, because rounding would bring noise back. The effect
+    grows from none at a contrast over noise of 14 to full at 8. If a dark pair has noise as coarse as texture,
+    averaging would remove the texture, so the pair is whitened instead: see :func:`whitening`.
     """
     images = pair.clamped
     if _are_clean(images, pair.top):
@@ -74,8 +74,8 @@ def denoised(pair: StereoPair) -> StereoPair:
 
 
 def _are_clean(images: tuple[Image, Image], top: int) -> bool:
-    # Whether the contrast of both images is above ``_CLEAN``, and one of them is not dark, by bounds that are quick to
-    # compute and hold for most pairs: all energy counts as noise, and a dark image has a small mean.
+    # Whether the contrast of both images is above ``_CLEAN``, and one of them is not dark. These bounds are quick to
+    # compute and enough for most pairs: all energy counts as noise, and a dark image has a small mean.
     if min(images[0].shape[:2]) < _REGION:
         return False
     means = []
@@ -85,7 +85,7 @@ def _are_clean(images: tuple[Image, Image], top: int) -> bool:
         run_bands(block_means, blocks.shape[1], image.reshape(*image.shape[:2], -1), blocks)
         n = _REGION // _BLOCK
         regions = blocks[1:, : height * n, : width * n].reshape(2, height, n, width, n).mean(axis=(2, 4))
-        spread = np.sort((1 - 1e-5) * regions[1] - regions[0] ** 2, axis=None)  # less by more than rounding errors
+        spread = np.sort((1 - 1e-5) * regions[1] - regions[0] ** 2, axis=None)  # reduced by more than rounding errors
         energy = np.sort(blocks[0], axis=None)
         noise = max(1.01 * energy[math.ceil(_FLAT_PERCENTILE / 100 * (energy.size - 1))], _ROUNDING_NOISE**2)
         if spread[(spread.size - 1) // 2] < _CLEAN**2 * noise:
@@ -99,8 +99,8 @@ def _are_clean(images: tuple[Image, Image], top: int) -> bool:
 def block_means(begin, end, image, means):
     """Write means over blocks of 8 x 8 pixels of an (H, W, C) ``image`` to ``means``, (3, H // 8, W // 8) float32.
 
-    They are of the squared second differences of levels, the levels, and their squares; see :func:`noise_level`. A
-    level is the mean of a pixel's channels.
+    The means are of the squared second differences of levels, the levels, and their squares; see :func:`noise_level`.
+    A level is the mean of a pixel's channels.
     """
     height, width, channels = image.shape
     for i in range(begin, end):
@@ -135,12 +135,12 @@ def block_means(begin, end, image, means):
 
 
 def noise_level(level: NDArray[np.float32], differing: float = 0.0) -> tuple[float, float, int]:
-    """Return the standard deviation of an image's noise, levels, the contrast over it, and the radius to average over.
+    """Return the standard deviation of an image's noise (levels), the contrast over it, and the radius to average over.
 
-    The contrast is the typical standard deviation within 32 x 32 pixels. Noise is white: averaged over 2 x 2 pixels it
-    has a quarter of the energy, while fine texture, which may fill an image as evenly as noise, does not lose any.
-    Neighbors share the noise of cameras that smooth or compress. It shows in means over 4 x 4 pixels, as texture does:
-    ``differing`` is the share of noise in them, 0 .. 1. The radius grows with the size of its grains.
+    The contrast is the median standard deviation within 32 x 32 pixels. White noise averaged over 2 x 2 pixels keeps a
+    quarter of its energy; fine texture, which may fill an image as evenly, loses none. If a camera smooths or
+    compresses, neighbors share noise. It shows in means over 4 x 4 pixels, as texture does: ``differing`` is the share
+    of noise in them, 0 .. 1. The radius (pixels) grows with the size of the noise's grains.
     """
     half = _block_means(level, 2)
     full, two = _flat_energy(level), _flat_energy(half)
@@ -157,12 +157,12 @@ def noise_level(level: NDArray[np.float32], differing: float = 0.0) -> tuple[flo
 
 
 def whitening(levels: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32], float] | None:
-    """Return a filter for images in strong noise of any spectrum, (31, 31), and the deviation that it leaves of noise.
+    """Return a filter for images in strong noise of any spectrum, (31, 31), and the deviation of the noise after it.
 
-    Its gain at a frequency is ``sqrt(S) / N``, S the power of texture and N of noise: Eckart's filter (Knapp, Carter,
-    The generalized correlation method for estimation of time delay, TASSP 1976), by which weak signals stand out most.
-    Noise is what the flattest blocks have at a distance from frequency 0, texture the rest of the mean. It returns None
-    for images smaller than a block, without texture, or of a contrast that averaging leaves enough of.
+    Its gain at a frequency is ``sqrt(S) / N`` with the power S of texture and N of noise: Eckart's filter (Knapp,
+    Carter, The generalized correlation method for estimation of time delay, TASSP 1976), after which weak signals stand
+    out most. N is the power of the flattest blocks at a distance from frequency 0, and S is the rest of the mean power.
+    Return None if the images are smaller than a block, have no texture, or have enough contrast for averaging.
     """
     n = _SPECTRUM
     if min(levels[0].shape) < n:
@@ -170,7 +170,7 @@ def whitening(levels: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32
     column, row = np.meshgrid(*2 * [np.minimum(np.arange(n), n - np.arange(n))])
     ring = np.minimum(np.rint(np.hypot(row, column)).astype(int), n // 2).ravel()
     size = np.bincount(ring)
-    window = np.outer(*2 * [np.sin(np.pi * np.arange(n) / n) ** 2]) * (8 / 3)  # it keeps the power
+    window = np.outer(*2 * [np.sin(np.pi * np.arange(n) / n) ** 2]) * (8 / 3)  # keeps the power
     spectra = []
     for level in levels:
         height, width = (side // n for side in level.shape)
@@ -209,7 +209,7 @@ def _whitened(image: Image, mean: np.float32, kernel: NDArray[np.float32], epsil
 
 
 def _differing(left: NDArray[np.float32], right: NDArray[np.float32]) -> float:
-    # How far the views differ in means over 4 x 4 pixels, 0 .. 1: flat blocks of texture have a match in the row.
+    # How much means over 4 x 4 pixels differ between the views, 0 .. 1. Texture, unlike noise, has a match in the row.
     left, right = (_block_means(level, 4) for level in (left, right))
     energy = _block_means(_details(left), _BLOCK)
     found = []
@@ -239,7 +239,7 @@ def _flat_energy(level: NDArray[np.float32]) -> float:
 
 
 def _block_means(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
-    # Means of whole blocks, at least of one.
+    # Means of whole blocks, at least one block a side.
     height, width = (max(1, n // side) for n in values.shape)
     part = values[: height * side, : width * side]
     return np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA), np.float32)
@@ -254,7 +254,7 @@ def _filtered(image: Image, radius: int, epsilon: float, share: float, gain: flo
         guide, values = _level(part), part.astype(np.float32)
         averaged = cv2.ximgproc.guidedFilter(guide, values, radius, epsilon)
         if image.ndim == 3 and share < 1:
-            # A weak filter must not take away colors that the guide does not have: then all channels change alike.
+            # A weak filter must keep colors that the guide does not have, so it changes all channels alike.
             alike = values + (cv2.ximgproc.guidedFilter(guide, guide, radius, epsilon) - guide)[..., None]
             averaged = alike + np.float32(share) * (averaged - alike)
         values = np.clip(averaged[y - first :][:_STRIP] / np.float32(top), 0, 1)

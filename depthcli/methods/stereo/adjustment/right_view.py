@@ -1,4 +1,4 @@
-"""Rows and light of a right image adjusted to the left one: what is estimated from matches, and how it is applied."""
+"""Estimation of the row shift and the gains of a right image from matches, and their correction."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ from numpy.typing import NDArray
 from depthcli.core.frames import Image, StereoPair
 from depthcli.kernels.jit import jit, run_bands
 
-CELL = 4  # side of the cells that have one gain, pixels of the reduced size
-N_TERMS = 6  # of a polynomial of the second degree: the effect of small rotations and of different focal lengths
-# Parts of the largest grey level at which samples begin to count as saturated, and over which that rises to 1.
+CELL = 4  # side of a cell, which has one gain, pixels of the reduced size
+N_TERMS = 6  # of a polynomial of the second degree, which models small rotations and different focal lengths
+# Parts of the largest grey level: where samples begin to count as saturated, and the range over which that rises to 1.
 _SATURATION_START, _SATURATION_RANGE = np.float32(0.92), np.float32(0.07)
 # Rows
-BLOCK = 8  # side of the blocks that share an error of disparity, pixels of the reduced size
-_FINE_SIGMA, _COARSE_SIGMA = 0.8, 6.0  # of the band pass before comparison: noise, and light that varies slowly
+BLOCK = 8  # side of a block, which has one disparity error, pixels of the reduced size
+_FINE_SIGMA, _COARSE_SIGMA = 0.8, 6.0  # of the band pass before comparison: removes noise, and light that varies slowly
 N_SUMS = 8
 _MAX_ITERATIONS = 4
 _MIN_CHANGE = 0.01  # rows: a smaller change of every coefficient ends the iteration
-_HALF_WEIGHT, _MAX_RESIDUAL = np.float32(4.0), np.float32(20.0)  # grey levels: weight 1/2 (Cauchy), weight 0
-_RIDGE = 3000.0  # grey levels squared: pulls a shift of a quarter of a row that few pixels support to 0
+_HALF_WEIGHT, _MAX_RESIDUAL = np.float32(4.0), np.float32(20.0)  # grey levels: residuals of weight 1/2 (Cauchy) and 0
+_RIDGE = 3000.0  # grey levels squared: pulls a shift of a quarter of a row to 0 if few pixels support it
 # Light
-_LOCAL_SIGMA, _WIDE_SIGMA = 12.0, 30.0  # of the Gaussian means of cells, pixels of the reduced size
+_LOCAL_SIGMA, _WIDE_SIGMA = 12.0, 30.0  # of the Gaussian means over cells, pixels of the reduced size
 _OFFSET = np.float32(8.0)  # grey levels added on both sides of a ratio: noise dominates the ratio of darker pixels
-_PRIOR_WEIGHT = 0.5  # of the mean that is one step wider, in matches per pixel
+_PRIOR_WEIGHT = 0.5  # of the next wider mean, in matches per pixel
 _MIN_WIDE_DENSITY, _MIN_LOCAL_DENSITY = np.float32(1e-3), np.float32(0.05)  # matches per pixel: keep the priors > 0
-_MAX_RATIOS = (1.6, 1.2)  # between grey levels of a match, once by the global and once by the local gain
+_MAX_RATIOS = (1.6, 1.2)  # between the grey levels of a match, relative to the global, then to the local gain
 _GAIN_BOUNDS = (0.1, 10.0)
 _MAX_MEDIAN_SAMPLES = 4096  # more do not change the median
-_TRUST_PRIOR = np.float32(0.2)  # weight of the wider mean of differences, in matches per pixel
-_HALF_TRUST = np.float32(6.0)  # grey levels: difference of right matches at which the trust is one half
+_TRUST_PRIOR = np.float32(0.2)  # of the wider mean of differences, in matches per pixel
+_HALF_TRUST = np.float32(6.0)  # grey levels: mean difference of matches at which the trust is one half
 
 
 @dataclass(frozen=True)
 class Correction:
     """Geometric and radiometric correction of a right image."""
 
-    # (6,) how far below its row in the left image a point lies in the right one, pixels of the reduced size:
+    # (6,) rows by which a point is lower in the right image than in the left one, pixels of the reduced size:
     # coefficients of 1, u, v, u u, u v, v v, for column u and row v from -1 to 1.
     row_shift: NDArray[np.float64]
-    gains: NDArray[np.float32]  # (h, w, 3) factors of cells of 4 x 4 pixels of the reduced size, or (1, 1, 3) of all
+    gains: NDArray[np.float32]  # (h, w, 3) factors, one per cell of 4 x 4 pixels of the reduced size, or (1, 1, 3)
 
     def apply(self, pair: StereoPair, factor: int) -> StereoPair:
         """Return ``pair``, which is ``factor`` times the reduced size, with its right image corrected."""
@@ -85,12 +85,12 @@ def resample(
 ) -> None:
     """Write (H, W, C) ``image`` with its rows shifted, times the bilinearly interpolated ``gains``, to ``out``.
 
-    Gains below 1 rise to 1 towards the largest grey level ``top``: saturated samples times a gain that varies would
-    seem to have a slope.
+    Gains below 1 rise to 1 towards the largest grey level ``top``. Otherwise, saturated samples times a varying gain
+    would seem to have a slope.
     """
     along = np.empty((gains.shape[0], image[0].size), np.float32)  # gains interpolated along the rows of the grid
     run_bands(_interpolate_gains, len(gains), gains, cell, image.shape[2], along)
-    # All rows as one: they are interpolated in runs of pixels whose samples lie in the same rows of the image.
+    # Channels are part of the rows. Runs of pixels with samples from the same image rows are interpolated together.
     source, result = image.reshape(len(image), -1), out.reshape(len(image), -1)
     run_bands(_resample, len(image), source, image.shape[2], row_shift, along, cell, top, result)
 
@@ -151,15 +151,15 @@ def _resample(begin, end, source, channels, row_shift, along, cell, top, result)
 def estimate_row_shift(
     disparity: NDArray[np.float32], left: Image, right: Image, initial: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the (6,) coefficients of the vertical shift of matches, the best of some Gauss-Newton steps.
+    """Return the (6,) coefficients of the vertical shift of matches: the best of a few Gauss-Newton steps.
 
     Images are (H, W, 3) uint8, the right one with its light adjusted but not its rows; ``disparity`` is NaN without a
-    match. The steps begin at the coefficients ``initial``.
+    match. The steps begin at ``initial``.
     """
     left_details, right_details = Details.of(left), Details.of(right)
     row_shift = best = initial
     best_cost = float("inf")
-    for _ in range(_MAX_ITERATIONS + 1):  # in the last one only the cost counts
+    for _ in range(_MAX_ITERATIONS + 1):  # the last pass only computes the cost
         sums = np.zeros((N_SUMS, *(-(-side // BLOCK) for side in disparity.shape)))
         run_bands(sum_blocks, sums.shape[1], disparity, left_details, right_details, row_shift, sums)
         weight, column, dx_dx, dx_dy, dy_dy, dx_residual, dy_residual, costs = sums
@@ -167,8 +167,7 @@ def estimate_row_shift(
         if cost >= best_cost:
             break
         best, best_cost = row_shift, cost
-        # Every block has an error of disparity of its own, which is eliminated: on slanted edges it would look like a
-        # shift of rows.
+        # Eliminate the disparity error of every block: on slanted edges it would look like a shift of rows.
         leak = dx_dy / (dx_dx + 1.0)
         u = 2 * column / np.maximum(weight, 1e-9) / disparity.shape[1] - 1
         v = 2 * (BLOCK * np.arange(u.shape[0])[:, None] + (BLOCK - 1) / 2) / disparity.shape[0] - 1 + np.zeros_like(u)
@@ -213,10 +212,10 @@ def _bilinear(image, v, u, t, s):
 
 @jit
 def sum_blocks(begin, end, disparity, left, right, row_shift, sums):
-    """Add to ``sums`` (8, h, w) those over the matches of every block, shifted by ``row_shift``.
+    """Add sums over the matches of every block, shifted by ``row_shift``, to ``sums`` (8, h, w).
 
-    These are robust weights; and, times these weights, columns of the right image, products of slopes (xx, xy, yy) and
-    of slopes and residuals (x, y); and the robust cost of the residuals.
+    They are, in order: robust weights; weighted columns of the right image, products of slopes (xx, xy, yy) and
+    products of slopes and residuals (x, y); the robust cost of the residuals.
     """
     height, width = disparity.shape
     right_grey = right.grey
@@ -232,7 +231,7 @@ def sum_blocks(begin, end, disparity, left, right, row_shift, sums):
                 row = np.float32(
                     float(y) + polynomial(row_shift, (2.0 * column - width) / width, (2.0 * y - height) / height)
                 )
-                row = min(max(row, np.float32(1)), np.float32(height - 3))  # leaving the image must not pay
+                row = min(max(row, np.float32(1)), np.float32(height - 3))  # no lower cost by leaving the image
                 v = min(int(row), height - 4)
                 t = row - np.float32(v)
                 block = sums[:, i, x // BLOCK]
@@ -255,11 +254,11 @@ def sum_blocks(begin, end, disparity, left, right, row_shift, sums):
 
 
 def estimate_gains(disparity: NDArray[np.float32], left: Image, right: Image) -> NDArray[np.float32]:
-    """Return the local ratio of the left to the right grey levels of matches.
+    """Return the local ratio of left to right grey levels of matches, (ceil(H / 4), ceil(W / 4), 3) float32.
 
-    Means over matches around every cell of the right image, which is not multiplied by any gains; a wide mean is the
-    prior of the local one, and the median ratio that of the wide one. Matches whose ratio is an outlier do not count.
-    The images are (H, W, 3) uint8, the result (ceil(H / 4), ceil(W / 4), 3).
+    The images are (H, W, 3) uint8; the right one has no gains applied. The ratio is a mean over matches around every
+    cell of the right image. A wide mean is the prior of the local one, and the median ratio is the prior of the wide
+    one. Matches with an outlier ratio do not count.
     """
     cells = tuple(-(-side // CELL) for side in disparity.shape)
     y, x = np.nonzero(~np.isnan(disparity))
@@ -282,9 +281,9 @@ def estimate_gains(disparity: NDArray[np.float32], left: Image, right: Image) ->
 def light_trust(
     disparity: NDArray[np.float32], left: Image, right: Image, factor: int, shape: tuple[int, int]
 ) -> NDArray[np.uint8]:
-    """Return how far the grey levels of corrected matches agree: (H, W) of the full ``shape``, 255 for "entirely".
+    """Return how far grey levels of corrected matches agree: (H, W) uint8 of the full ``shape``, 255 for "entirely".
 
-    ``factor`` is the ratio of the full size to that of ``disparity`` and the images, (H, W, 3) uint8.
+    ``factor`` is the full size divided by the size of ``disparity`` and of the images, which are (H, W, 3) uint8.
     """
     sums = np.zeros((2, *(-(-side // CELL) for side in disparity.shape)), np.float32)
     run_bands(sum_differences, sums.shape[1], disparity, left, right, sums)
@@ -314,8 +313,8 @@ def _matching_column(x, disparity):
 def sum_light(begin, end, disparity, left, right, gains, max_ratio, sums):
     """Add left and right grey levels of matches, and their number, to ``sums`` (3, h, w, 3), per pixel of a cell.
 
-    Cells are those of the right image. Saturated samples count like others: grey levels are to agree, even where they
-    do not determine a gain.
+    Cells are in the right image. Saturated samples count too: grey levels have to agree even if they do not determine a
+    gain.
     """
     height, width = disparity.shape
     share = np.float32(1 / CELL**2)

@@ -1,4 +1,4 @@
-"""Aggregation: a cost volume in, its means over support windows out. One file per method."""
+"""Aggregation: means of a cost volume over support windows. One file per method."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Aggregator(Method):
         """Return a new volume of the same shape; the input is not modified."""
 
     def halo(self) -> int | None:
-        """Return the radius of the window that a pixel's means depend on, pixels; None: the whole image."""
+        """Return the radius in pixels of the window that a pixel's means depend on; None: the whole image."""
         return None
 
 

@@ -25,8 +25,8 @@ from depthcli.methods.stereo.volume import CostVolume
 class AdaptiveWeight(Aggregator):
     """Mean over the window with weights w(p, q) w'(p_d, q_d), w = exp(-(color / gamma_c + space / gamma_s)).
 
-    Each view weights a pair of pixels by its own colors. Neighbors whose match lies outside the right image do not
-    take part in the mean; cells which themselves lie outside keep their neutral cost.
+    Each view weights a pair of pixels by its own colors. Neighbors whose match is outside the right image do not take
+    part in the mean; cells that are outside themselves keep their neutral cost.
     """
 
     aliases = ("AW", "ASW")
@@ -34,8 +34,8 @@ class AdaptiveWeight(Aggregator):
     window: Odd = Field(33, ge=1, le=99, description="side of the square window, pixels, odd")
     gamma_color: float = Field(10.0, gt=0, le=1e4, description="color difference that divides a weight by e")
     gamma_space: float = Field(36.0, gt=0, le=1e4, description="distance that divides a weight by e, pixels")
-    # With AD costs CIELab has 4.8 % bad pixels on the four scenes of 2001-2003, RGB at its best gamma_color (30) 5.0 %;
-    # with AD+census both have 3.0 %.
+    # With AD costs, CIELab has 4.8 % bad pixels on the four scenes of 2001-2003, and RGB 5.0 % at its best gamma_color
+    # (30). With AD+census both have 3.0 %.
     color_space: Literal["lab", "rgb"] = Field("lab", description="where colors are compared: CIELab or RGB 0..255")
     norm: Literal["l2", "squared"] = Field(
         "l2", description="l2: weights use distances as they are; squared: their squares (thesis, eq. 3.10-3.11)"
@@ -71,8 +71,8 @@ class AdaptiveWeight(Aggregator):
 @jit
 def _add_taps(zero, sums, weights, at, left, left_at, left_step, right, right_at, right_step, cost, cost_at, cost_step,
               taps):  # fmt: skip
-    # For k < taps: t = left[k] * right[k, :]; sums += t * cost[k, :]; weights += t, of as many disparities as ``zero``
-    # has lanes. Arrays are flat float32; ``*_at`` is the index of tap 0, ``*_step`` the distance to the next tap.
+    # For every k < taps: t = left[k] * right[k, :]; sums += t * cost[k, :]; weights += t, for as many disparities as
+    # ``zero`` has lanes. Arrays are flat float32; ``*_at`` is the index of tap 0, ``*_step`` the distance between taps.
     total, weight = load_like(zero, sums, at), load_like(zero, weights, at)
     for k in range(taps):
         both = scaled(load_like(zero, right, right_at + k * right_step), left, left_at + k * left_step)
@@ -95,9 +95,9 @@ def _weigh(a0, a1, a2, b0, b1, b2, space, scale, squared, out):
 
 @jit
 def _aggregate(begin, end, costs, left, right, radius, gamma_color, gamma_space, squared, factor, rounding, out):
-    # (H, W, D) costs, (H, 3, W) colors, rows of ``right`` reversed. For every row of the window left weights (tap, x)
+    # (H, W, D) costs, (H, 3, W) colors, rows of ``right`` reversed. For every row of the window, left weights (tap, x)
     # and right weights (tap, reversed x) are computed once; then every pixel adds its taps for all disparities. In
-    # reversed order the right weights of a pixel are contiguous along d, and 0 after the row's end, outside the image.
+    # reversed order, the right weights of a pixel are contiguous along d, and 0 beyond the row, outside the image.
     height, width, n_disparities = costs.shape
     padded = (n_disparities + LANES - 1) // LANES * LANES
     # An odd number of cache lines, so that the taps' rows spread over all cache sets.
@@ -125,7 +125,7 @@ def _aggregate(begin, end, costs, left, right, radius, gamma_color, gamma_space,
                 if not squared:
                     space = np.sqrt(space)
                 space = space * log2e / gamma_space
-                # Pixels 0 .. n of one image, dx apart: in the reversed row the neighbor comes first.
+                # n pairs of pixels, dx apart; in the reversed row the neighbor comes first.
                 n = width - abs(dx)
                 a, b = max(0, -dx), max(0, dx)
                 k = dx + radius

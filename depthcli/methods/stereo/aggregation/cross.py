@@ -15,20 +15,20 @@ from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
-# First pass of intersections: the sum of an arm, above 9 bits of its length. An arm has at most 511 pixels of at most
-# 4080.
+# Intersected supports, first pass: a word has the sum over an arm above 9 bits for the arm's length. An arm has at most
+# 511 pixels of at most 4080.
 _LENGTH_BITS = 9
-_COLUMNS = 4  # that are summed side by side
-LARGEST_DIFFERENCE = 255  # of two grey levels: a threshold that nothing exceeds
+_COLUMNS = 4  # summed side by side
+LARGEST_DIFFERENCE = 255  # between two grey levels: a threshold that nothing exceeds
 
 
 class Cross(Aggregator):
     """Mean over a support bounded by color edges: the horizontal arms of all pixels on the vertical arm.
 
     Iterations alternate between horizontal-first and vertical-first supports. By default only the reference
-    view's support counts. Intersecting it with the target's makes the arms depend on the disparity, which
-    doubles the time of an iteration; on the four scenes of Middlebury v2, winner-takes-all on AD + census, one
-    intersected iteration has fewer errors (3.3 %) than four of the reference's (3.6 %).
+    view's support counts. Intersecting it with the target's makes the arms depend on the disparity and doubles the
+    time of an iteration. On the four scenes of Middlebury v2 (AD + census, winner-takes-all), one intersected
+    iteration has fewer errors (3.3 %) than four with the reference view's support (3.6 %).
     """
 
     aliases = ("CBCA",)
@@ -60,7 +60,7 @@ class Cross(Aggregator):
         return cross_arms(image, *limits, consecutive=self.consecutive)
 
     def halo(self) -> int | None:
-        # A support reaches as far as two arms that follow each other; arms see one pixel more, smoothing another.
+        # Arms of every iteration follow the arms of the previous one; they see one pixel more, and smoothing another.
         return (self.iterations + 1) * self.length + 2
 
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
@@ -69,7 +69,7 @@ class Cross(Aggregator):
         arms = self.arms(pair.color8[0])
         source = volume.costs
         if self.support == "intersection":
-            # Along d the other view is read backwards; behind its border stands an arm that cuts nothing.
+            # Along d the other view is read backwards; beyond its border, arms of 255 cut nothing.
             target = np.full((4, *pair.shape[:1], pair.shape[1] + volume.n_disparities), 255, np.uint8)
             target[:, :, : pair.shape[1]] = self.arms(pair.color8[1])[:, :, ::-1]
             spans: NDArray[np.uint32] = memory.empty(source.shape, np.uint32)
@@ -84,7 +84,7 @@ class Cross(Aggregator):
                 source = means
             return CostVolume(source, volume.scale)
         sums, means = (memory.empty(source.shape, np.uint16) for _ in range(2))
-        # The sum of an arm is kept in 16 bits, rounded: cut off, small costs would come out too low.
+        # Sums over arms are rounded to 16 bits: if they were cut off, small costs would come out too low.
         shift = max(0, (FixedPoint.LARGEST * (2 * self.length + 1)).bit_length() - 16)
         for iteration in range(self.iterations):
             along_rows = iteration % 2 == 0
@@ -111,7 +111,7 @@ def _inverse_areas(arms: NDArray[np.uint8], horizontal_first: bool) -> NDArray[n
 
 @jit
 def _write(low, high, inverse, out, shift, last):
-    # The differences of prefix sums: the last ones become means, the others keep their upper 16 bits.
+    # Differences of prefix sums: the last pass turns them into means, the others keep their upper 16 bits.
     if last:
         factor = inverse * np.float32(1 << shift)
         for i in range(out.size):
@@ -122,8 +122,8 @@ def _write(low, high, inverse, out, shift, last):
             out[i] = np.uint16(np.uint32(high[i] - low[i] + half) >> amount)
 
 
-# Prefix sums of a flat volume are computed along lines: rows or columns. A block of columns is summed side by side, so
-# that they stay in cache while memory is still read in runs.
+# Prefix sums of a flat volume run along lines: rows or columns. A block of columns is summed side by side, so that it
+# stays in cache while memory is still read in runs.
 
 
 def _n_blocks(shape: tuple[int, ...], along_rows: bool) -> int:
@@ -132,7 +132,7 @@ def _n_blocks(shape: tuple[int, ...], along_rows: bool) -> int:
 
 @jit
 def _lines(shape, along_rows):
-    # Number of lines, of pixels on a line and of lines in a block; cells from line to line and from pixel to pixel.
+    # Number of lines, pixels per line and lines per block; cells from line to line and from pixel to pixel.
     height, width, n_disparities = shape
     if along_rows:
         return height, width, 1, width * n_disparities, n_disparities
@@ -141,7 +141,7 @@ def _lines(shape, along_rows):
 
 @jit
 def _arm_sums(begin, end, source, arms, inverse, out, shift, last, along_rows):
-    # Sums over the arms along a line; the last ones are divided by the number of pixels of the support.
+    # Sums over the arms along a line; the last pass divides them by the number of pixels of the support.
     n_disparities = out.shape[2]
     n_lines, length, block, line_step, step = _lines(out.shape, along_rows)
     side = 0 if along_rows else 2
@@ -165,15 +165,15 @@ def _arm_sums(begin, end, source, arms, inverse, out, shift, last, along_rows):
                 _write(low, high, inverse[y, x], out[y, x], shift, last)
 
 
-# Intersected supports: arms are cut to those of the match, so that they depend on the disparity. Both passes still read
-# prefix sums, at a place of its own for every d; sum and number of pixels travel in one word, so that one difference
-# gives both. Index arithmetic is unsigned, which spares the test for negative indices.
+# Intersected supports: arms are cut to the arms of the match, so that they depend on the disparity. Both passes still
+# read prefix sums, at another place for every d. Sum and number of pixels share a word, so that one difference gives
+# both. Unsigned index arithmetic spares the test for negative indices.
 
 
 @jit
 def _cut_differences(prefix, arms, target, y, x, side, at, step, out):
-    # out[d] = the difference of flat prefix sums over the arms of (y, x), cut to those of its match. The sum before the
-    # pixel is at index ``at`` for d = 0, those of neighbors are ``step`` apart.
+    # out[d] = the difference of flat prefix sums over the arms of (y, x), cut to the arms of its match. The sum before
+    # the pixel is at index ``at`` for d = 0; sums of neighbors are ``step`` apart.
     mirror = target.shape[2] - out.size - 1 - x
     before, after = arms[side, y, x], arms[side + 1, y, x]
     cut_before = target[side, y, mirror : mirror + out.size]
@@ -186,8 +186,8 @@ def _cut_differences(prefix, arms, target, y, x, side, at, step, out):
 
 @jit
 def _intersected_spans(begin, end, source, arms, target, along_rows, spans):
-    # Words of the sum over the arms along a line and, in the lower bits, their length. Prefix sums may overflow: a
-    # difference is right again.
+    # Words of the sum over the arms along a line and, in the lower bits, their length. Prefix sums may overflow, but
+    # their differences are correct.
     n_disparities = spans.shape[2]
     n_lines, length, block, line_step, step = _lines(spans.shape, along_rows)
     side = 0 if along_rows else 2
@@ -265,7 +265,7 @@ def cross_arms(
 
 @jit
 def _step(center, neighbor, previous, alive, arm, limit, step_threshold):
-    # Arms grow to ``neighbor`` where it differs from ``center`` by at most limit, from ``previous`` by step_threshold.
+    # Arms grow to ``neighbor`` if it differs from ``center`` by at most limit, and from ``previous`` by step_threshold.
     for k in range(center.shape[0]):
         a, b, c = center[k], neighbor[k], previous[k]
         for i in range(alive.size):
@@ -279,8 +279,8 @@ def _step(center, neighbor, previous, alive, arm, limit, step_threshold):
 
 @jit
 def _grow(begin, end, planes, arms, length, threshold, inner_length, inner_threshold, step_threshold):
-    # The arms of a whole row of pixels grow by one step at a time: the loop over pixels is branch-free SIMD, and
-    # ``alive`` remembers which arms still grow.
+    # The arms of a whole row of pixels grow by one step at a time, so that the loop over pixels is branch-free SIMD;
+    # ``alive`` marks the arms that still grow.
     _, height, width = planes.shape
     for y in range(begin, end):
         for side in range(4):
@@ -294,7 +294,7 @@ def _grow(begin, end, planes, arms, length, threshold, inner_length, inner_thres
                 if v < 0 or v >= height or n * abs(dx) >= width:
                     break
                 limit = np.int16(threshold if n <= inner_length else inner_threshold)
-                first, stop = max(0, -n * dx), width - max(0, n * dx)  # of pixels whose neighbor is in the image
+                first, stop = max(0, -n * dx), width - max(0, n * dx)  # pixels whose neighbor is in the image
                 there, before = n * dx, n * dx - dx
                 _step(
                     planes[:, y, first:stop], planes[:, v, first + there : stop + there],

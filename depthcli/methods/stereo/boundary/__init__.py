@@ -14,11 +14,11 @@ from depthcli.core.method import Method, method_of
 
 
 class BoundaryCost(Method):
-    """What it costs that two neighboring segments have different planes; ``energy.smoothness`` multiplies it."""
+    """A cost of two neighboring segments that have different planes; ``energy.smoothness`` multiplies it."""
 
     @abstractmethod
     def __call__(self, graph: RegionGraph) -> NDArray[Any]:
-        """Return the costs of the E edges of a graph of segments, (E,) floats, none negative, infinite or NaN.
+        """Return the costs of the E edges of a graph of segments, (E,) floats, finite and not negative.
 
         ``graph.boundary`` has the lengths of the common boundaries, ``graph.means`` the mean colors of the segments,
         ``graph.edges`` the segments of each edge.
@@ -42,7 +42,7 @@ class ColorBoundary(BoundaryCost):
 
     @abstractmethod
     def falloff(self, squared: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the cost of a boundary per pixel, of squared color differences over the squared scale."""
+        """Return the cost of a boundary per pixel, for squared color differences over the squared scale."""
 
 
 Boundary = Annotated[BoundaryCost, *method_of("depthcli.methods.stereo.boundary")]

@@ -9,7 +9,7 @@ from depthcli.methods.stereo.boundary import ColorBoundary
 
 
 class Exponential(ColorBoundary):
-    """``beta exp(-tau / sigma)``: small differences count more, and large ones less, than those of ``gaussian``."""
+    """``beta exp(-tau / sigma)``: lower than ``gaussian`` for differences below sigma, and higher above."""
 
     def falloff(self, squared: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.exp(-np.sqrt(squared))

@@ -1,4 +1,4 @@
-"""Cost measures: an image pair in, the dissimilarity of all pairs of pixels out. One file per measure."""
+"""Cost measures: the dissimilarity of left and right pixels of an image pair. One file per measure."""
 
 from __future__ import annotations
 
@@ -24,42 +24,42 @@ class CostMeasure(Method):
         """Return the cost volume of disparities 0 .. ``n_disparities`` - 1."""
 
     def checked_costs(self, pair: StereoPair, n_disparities: int) -> CostVolume:
-        """Return the cost volume of :meth:`__call__`; InputError where it is not one of the pair with finite costs."""
+        """Return the cost volume of :meth:`__call__`; InputError if it is not one of the pair with finite costs."""
         volume, shape = self(pair, n_disparities), (*pair.shape, n_disparities)
         if not isinstance(volume, CostVolume):
             raise InputError(f"cost {self.method_name()}: expected a CostVolume, got {type(volume).__name__}")
         costs, scale = volume.costs, volume.scale
         if costs.shape != shape:
             raise InputError(f"cost {self.method_name()}: expected costs of shape {shape}, got {costs.shape}")
-        # The least and the largest cost are NaN where any is; costs of whole numbers, as ours, have nothing to look at.
+        # The least and the largest cost are NaN if any cost is; integer costs, as all of ours, need no check.
         ends = (costs.min(), costs.max()) if costs.dtype == np.float32 else ()
         if not (np.isfinite([*ends, scale]).all() and scale > 0):
             raise InputError(f"cost {self.method_name()}: costs are NaN or infinite, or their scale is not positive")
         return volume
 
     def halo(self) -> int | None:
-        """Return the radius of the window that a pixel's costs depend on, pixels; None: the whole image."""
+        """Return the radius in pixels of the window that a pixel's costs depend on; None: the whole image."""
         return None
 
     def pixel_bytes(self) -> int:
-        """Return the memory beside the volume that is needed meanwhile, bytes a pixel, where it is much."""
+        """Return the temporary memory that is needed besides the volume, bytes per pixel; 0 if it is little."""
         return 0
 
     bytes_per_cost: ClassVar[int] = 1
-    """Size of a cost in the volume that it returns."""
+    """Bytes of a cost in the returned volume."""
 
     compares_levels: ClassVar[bool] = False
-    """Whether it compares grey levels or their differences, so that costs of matches rise where the light differs."""
+    """Whether the measure compares grey levels or their differences: then different light raises costs of matches."""
 
 
-_TRANSFERRED_WEIGHT = 0.4  # part of the weight lost by measures of grey levels that the others gain; chosen here
+_TRANSFERRED_WEIGHT = 0.4  # part of the weight lost by measures of grey levels that the others gain; not from a paper
 
 
 def light_weights(measures: Sequence[CostMeasure | None], pair: StereoPair) -> NDArray[np.float32] | None:
-    """Return the weights of M measures in a sum at every pixel, (M, H, W), given its light trust; None: all are 1.
+    """Return the weights of M measures in a sum at every pixel, (M, H, W), from its light trust; None: all are 1.
 
-    Where the light differs, measures that compare grey levels have weights below 1 and the others above 1; all weights
-    together are at most M.
+    If the light differs, measures that compare grey levels have weights below 1 and the others above 1. The sum of all
+    weights is at most M.
     """
     levels = [measure is not None and measure.compares_levels for measure in measures]
     n_levels, n_others = sum(levels), len(levels) - sum(levels)

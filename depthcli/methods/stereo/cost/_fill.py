@@ -1,7 +1,7 @@
 """Kernels that fill a cost volume from two images of features.
 
-Along d the right image is read backwards; with a reversed copy of its row both streams are contiguous. Cells whose
-match lies outside the right image are filled by ``fill_outside`` afterwards.
+Along d the right image is read backwards; with a reversed copy of its row both streams are contiguous. Afterwards,
+``fill_outside`` fills the cells whose match is outside the right image.
 """
 
 from __future__ import annotations
@@ -63,12 +63,12 @@ def difference_volume(
     sampling: str = "exact",
     shift: int = 0,
 ) -> None:
-    """Write the sums over channels of the differences of (C, H, W) uint8 or int16 images into (H, W, D) ``costs``.
+    """Write the sums over channels of the differences of (C, H, W) uint8 or int16 images to (H, W, D) ``costs``.
 
-    The sum is divided by 2^``shift`` (rounded half up; no ``shift`` of uint8), at most ``limit``. ``exact``:
-    ``|left - right|``. ``tolerant``: the sampling-insensitive dissimilarity of Birchfield and Tomasi (PAMI 1998), the
-    difference of a pixel from the nearest value that the other image has within half a pixel of its match; the smaller
-    one of left to right and right to left.
+    A sum is divided by 2^``shift`` (rounded half up; 0 for uint8), and at most ``limit``. ``exact``:
+    ``|left - right|``. ``tolerant``: the sampling-insensitive dissimilarity of Birchfield and Tomasi (PAMI 1998). This
+    is the difference between a pixel and the nearest value within half a pixel of its match, from left to right or
+    from right to left, whichever is smaller.
     """
     ranges = None
     if sampling == "tolerant":
@@ -105,8 +105,8 @@ def _extremes(begin, end, rows, low, high):
 
 @jit
 def _difference_volume(begin, end, left, right, ranges, costs, half, shift, limit):
-    # Compiled for int16 and uint8: a vector of bytes is half as long, and as its sums stop at 255 and its differences
-    # at 0, ``limit`` is right.
+    # Compiled for int16 and uint8. A vector of bytes is half as long. Its sums stop at 255 and its differences at 0, so
+    # ``limit`` is right for it as well.
     channels, _, width = left.shape
     n_disparities = costs.shape[2]
     padded = max(n_disparities, SHORT_LANES)

@@ -17,8 +17,8 @@ from depthcli.methods.stereo.volume import CostVolume, fill_outside
 class AbsoluteDifference(CostMeasure):
     """Mean over the channels of ``|I(y, x) - I'(y, x - d)|``, truncated.
 
-    The sum over the channels (thesis, eq. 3.1) is divided by their number: the mean has the unit of Mei et al.'s
-    lambda, grey levels. Three channels are stored as their exact sum (scale 3).
+    The sum over the channels (thesis, eq. 3.1) is divided by their number, so that the mean is in grey levels as Mei et
+    al.'s lambda. Three channels are stored as their exact sum (scale 3).
     """
 
     aliases = ("AD", "SAD")

@@ -18,7 +18,7 @@ from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
 class Census(CostMeasure):
-    """Hamming distance of census bit strings, whose bit k is set where neighbor k is brighter than the center."""
+    """Hamming distance of census bit strings. Bit k is set if neighbor k is brighter than the center."""
 
     window: Annotated[tuple[Side, Side], window_check(65)] = Field(
         (9, 7), description="window width and height, pixels; both odd, at most 64 neighbors"
@@ -57,7 +57,7 @@ def _census(begin, end, padded, bits, ry, rx):
         out = bits[y]
         out[:] = 0
         center = padded[y + ry, rx : rx + width]
-        for first in range(0, count, 16):  # vectors of 16 bits have four times as many lanes as those of 64
+        for first in range(0, count, 16):  # 16-bit vectors have four times as many lanes as 64-bit ones
             stop = min(first + 16, count)
             part[:] = 0
             for k in range(first, stop):

@@ -28,9 +28,9 @@ class Part(ConfigModel):
 
 
 class Combined(CostMeasure):
-    """Sum over the parts of ``1 - exp(-C_m / lambda_m)``: every part lies in [0, 1), so that none dominates.
+    """Sum over the parts of ``1 - exp(-C_m / lambda_m)``: every part is in [0, 1), so that none dominates.
 
-    Where the pair's ``light_trust`` is low, parts that compare grey levels count less, the others more.
+    If the pair's ``light_trust`` is low, parts that compare grey levels count less, and the others more.
     """
 
     parts: tuple[Part, ...] = Field(
@@ -54,7 +54,7 @@ class Combined(CostMeasure):
         weights = light_weights([part.cost for part in self.parts], pair)
         if weights is None:
             weights = np.ones((len(self.parts), pair.shape[0], 1), np.float32)
-        runs = (*weights.shape[1:], -1)  # of costs of one weight: those of a pixel, or of a whole row
+        runs = (*weights.shape[1:], -1)  # costs that share a weight: all of a pixel or of a row
         for k, (part, weight) in enumerate(zip(self.parts, weights, strict=True)):
             volume = part.cost.checked_costs(pair, n_padded)
             rate = _rate(volume.scale * part.lambda_)
@@ -65,7 +65,7 @@ class Combined(CostMeasure):
 
 
 def part_shares(lambda_: float) -> NDArray[np.float32]:
-    """Return the (256,) float32 terms in [0, 1) of all stored costs in the sum, for ``lambda_`` in stored units."""
+    """Return the (256,) float32 terms in [0, 1) of all stored costs in the sum; ``lambda_`` is in stored units."""
     shares = np.empty(256, np.float32)
     _share(_rate(lambda_), shares)
     return shares
@@ -83,14 +83,14 @@ def _share(rate, shares):
 
 @jit
 def _add_exponential(begin, end, costs, rate, units, adds, total):
-    # Writes ``units`` (H, R) times the terms of the costs, (H, R, N), or adds them. A table of 256 terms would not
+    # Write ``units`` (H, R) times the terms of the costs, (H, R, N), or add them. A table of 256 terms would not
     # vectorize.
     _, n_runs, length = costs.shape
     for y in range(begin, end):
         for x in range(n_runs):
             at = (y * n_runs + x) * length
             last = at + length - LANES
-            # The last vector ends at the end of the run. It overlaps the one before and is added to what was there.
+            # The last vector ends at the end of the run. It overlaps the one before, so it is computed first.
             share = _with_share(costs, total, last, rate, units[y, x], adds)
             for first in range(at, last, LANES):
                 store(total, first, _with_share(costs, total, first, rate, units[y, x], adds))
@@ -99,7 +99,7 @@ def _add_exponential(begin, end, costs, rate, units, adds, total):
 
 @jit
 def _with_share(costs, sums, at, rate, unit, adds):
-    # Lanes of the part's terms, with ``adds`` added to ``sums``, rounded half up, at most 255; see ``exp_minus_16``.
+    # Lanes of the part's terms, added to ``sums`` if ``adds``, rounded half up, at most 255; see ``exp_minus_16``.
     share = splat(np.float32(1)) - lane_exp_minus_16(load(costs, at) * splat(rate))
     part = as_bytes(splat(unit) * share + splat(np.float32(0.5)))
     return load_like(part, sums, at) + part if adds else part

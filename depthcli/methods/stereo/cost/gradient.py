@@ -19,7 +19,7 @@ from depthcli.methods.stereo.volume import CostVolume, fill_outside
 class Gradient(CostMeasure):
     """``|dI/dx - dI'/dx| + |dI/dy - dI'/dy|`` of the grey images, truncated; invariant to added constants.
 
-    Derivatives are those of a Gaussian, 5 x 5, normalized so that a ramp of 1 grey level per pixel has derivative 1.
+    The 5 x 5 derivative-of-Gaussian filters are normalized so that a ramp of 1 grey level per pixel has derivative 1.
     """
 
     aliases = ("GRAD",)
@@ -47,9 +47,9 @@ class Gradient(CostMeasure):
 
 
 def image_gradient(image: Image, sigma: float) -> NDArray[np.int16]:
-    """Compute derivatives along x and y by a 5 x 5 derivative-of-Gaussian filter, of ``sigma`` pixels.
+    """Compute derivatives along x and y with a 5 x 5 derivative-of-Gaussian filter of ``sigma`` pixels.
 
-    The border pixels of the image are repeated outwards. Returned are (2, H, W) int16, in sixteenths of a grey level
+    The border pixels of the image are repeated outwards. The result is (2, H, W) int16, in sixteenths of a grey level
     (of 255) per pixel.
     """
     smooth, slope = derivative_filters(sigma)

@@ -1,4 +1,4 @@
-"""Distance of the features that a network gives for each pixel."""
+"""Distance of the features that a network computes for each pixel."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from depthcli.methods.stereo.networks import (
 )
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
-_PROBE = 64  # pixels, side of the image that shows how much smaller the output is
+_PROBE = 64  # side of the test image that shows how much smaller the output is, pixels
 
 
 class NetworkCost(Network, CostMeasure):
     """Distance of the features of a network in an ONNX file, such as the fast network of MC-CNN (Zbontar, LeCun 2016).
 
-    The network takes one image of any size, (H, W), (C, H, W), (H, W, C) or with a batch of 1 before, grey or in color,
-    and gives a vector for each pixel. Where its output is smaller because its convolutions do not pad, the image's
-    border is repeated before. Networks of CNES MCCNN take ``normalization: image``.
+    The network takes one image of any size, (H, W), (C, H, W), (H, W, C) or a batch of one of these, grey or in color,
+    and gives a vector for each pixel. If its output is smaller because its convolutions do not pad, the image's border
+    is repeated first. Networks of CNES MCCNN take ``normalization: image``.
     """
 
     normalization: Normalization = Field("0-255", description="range of the values that the network takes")
@@ -52,7 +52,7 @@ class NetworkCost(Network, CostMeasure):
         _input_of(self.session, self.multiple)
 
     def pixel_bytes(self) -> int:
-        return 4096  # features of 64 channels of both images, and what convolutions hold meanwhile
+        return 4096  # features of 64 channels of both images, and temporary memory of convolutions
 
     def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
         session = self.session
@@ -64,7 +64,7 @@ class NetworkCost(Network, CostMeasure):
             features = _features(session, target, padded(image, self.multiple, margin))[:, :height, :width]
             if features.shape[1:] != (height, width) or not np.isfinite(features).all():
                 raise InputError(f"{session.model}: no finite features of {width} x {height} pixels; see multiple")
-            # Scaled so that sums over the channels, a multiple of 4, are the dot product or the mean.
+            # Scaled so that sums over the channels, padded to a multiple of 4, are the dot product or the mean.
             if self.distance == "dot":
                 features = features / np.maximum(np.sqrt(np.square(features).sum(axis=0)), np.float32(1e-6))
             else:
@@ -82,9 +82,9 @@ class NetworkCost(Network, CostMeasure):
 
 @lru_cache(maxsize=4)
 def _input_of(session: Session, multiple: int) -> tuple[ImageInput, int]:
-    """Return the input of a network, and by how many pixels its output is smaller on every side for a small image.
+    """Return a network's input, and by how many pixels its output is smaller on every side for a small image.
 
-    InputError where it does not give a vector for each pixel of one image of any size.
+    InputError if the network does not give a vector for each pixel of one image of any size.
     """
     if session.counts or len(session.images) != 1 or session.images[0].channels not in (None, 1, 3):
         raise InputError(f"{session.model}: want a network with one image as its input, grey or in color")
@@ -101,7 +101,7 @@ def _input_of(session: Session, multiple: int) -> tuple[ImageInput, int]:
 
 
 def _features(session: Session, target: ImageInput, image: NDArray[np.float32]) -> NDArray[np.float32]:
-    # (C, H, W), of an (H, W, 1 or 3) image.
+    # (C, H, W) features of an (H, W, 1 or 3) image.
     output = next(iter(session.run({target.name: target.array(image)}).values()))
     if output.ndim != 3:
         raise InputError(f"{session.model}: its first output has shape {output.shape}; want channels, rows, columns")

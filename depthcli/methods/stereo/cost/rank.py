@@ -36,7 +36,7 @@ class Rank(CostMeasure):
 
 
 def rank_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint8]:
-    """Count the pixels in each pixel's ``window`` (width, height) that are darker than it, (H, W) uint8.
+    """Count the pixels darker than the center in the ``window`` (width, height) of every pixel, (H, W) uint8.
 
     The border pixels of the image are repeated outwards.
     """

@@ -15,13 +15,13 @@ from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.cost import CostMeasure, Side, window_check
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
-_BAND = 16  # rows whose windows one task slides over; any number gives the same costs
+_BAND = 16  # rows that one task slides windows over; any number gives the same costs
 
 
 class Zncc(CostMeasure):
     """``1 - (cov + n^2) / sqrt((var + n^2) (var' + n^2))`` of the grey levels in two windows, at most 1.
 
-    Because of the noise n, windows without texture do not correlate by chance.
+    The noise n keeps windows without texture from correlating by chance.
     """
 
     window: Annotated[tuple[Side, Side], window_check(1023)] = Field(
@@ -76,7 +76,7 @@ def _add_products(left, right, sign, mirror, sums):
 
 @jit
 def _zncc_volume(begin, end, left, right, left_mean, left_factor, right_mean, right_factor, scale, floor, costs):
-    # Sums of products of columns are updated from row to row, those of windows from column to column.
+    # Sums of products of columns are updated from row to row, sums over windows from column to column.
     height, width, n_disparities = costs.shape
     rows, columns = left.shape
     tall, wide = rows - height + 1, columns - width + 1

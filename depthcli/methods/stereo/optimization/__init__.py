@@ -1,4 +1,4 @@
-"""Optimization: a cost volume in, costs that include smoothness over the image out. One file per method."""
+"""Optimization: costs that include smoothness over the image. One file per method."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """One pixel of several scanline paths, in explicit vectors of LLVM IR.
 
-The loop over disparities reads and writes so many arrays that the compiler cannot prove that they do not overlap, and
-would not vectorize it.
+The compiler would not vectorize the loop over disparities, because it cannot prove that its many arrays do not overlap.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from depthcli.kernels.lanes import address, saturated, spread
 LANES = 16
 """Number of 16-bit values in a vector; a volume needs at least as many disparities."""
 BYTE_LANES = 32
-"""The same of 8-bit values."""
+"""Number of 8-bit values in a vector."""
 
 
 @intrinsic
@@ -27,12 +26,12 @@ def path_step(
     Parameters
     ----------
     costs : uint8 or uint16; the pixel's D costs start at ``cost_at``
-    state : flat uint16 path costs; uint8 where the largest cost and P2 together are less than 256, which gives the
-        same sums in half of the time. ``before`` and ``after`` (K offsets each) point at D + 2 cells: D path costs
-        between two guard cells, whose value is not reached by any path
+    state : flat uint16 path costs; uint8 if the largest cost plus P2 is less than 256, which gives the same sums in
+        half the time. ``before`` and ``after`` (K offsets each) point at D + 2 cells: D path costs between two guard
+        cells, whose value no path reaches
     minima : flat minima of the path costs, read at ``minima_before``, written at ``minima_after``; typed as ``state``
     p1, p2 : K penalties, typed as ``state``
-    total : uint16; the pixel's D sums over the K paths are written from ``total_at`` on, or added to what is there
+    total : uint16; the pixel's D sums over the K paths are written from ``total_at`` on, or added to the values there
     adds : bool, whether they are added
     n_disparities : D, at least LANES, or BYTE_LANES
     """
@@ -72,7 +71,7 @@ def path_step(
         chunks = builder.sdiv(builder.add(depth, ir.Constant(word, n_lanes - 1)), ir.Constant(word, n_lanes))
         last = builder.sub(depth, ir.Constant(word, n_lanes))
 
-        # The last chunk is moved back to end at D: cells done twice are done alike, and are read before any is written.
+        # The last chunk is moved back to end at D. Cells in both get equal values: they are read before any is written.
         earlier, earlier_last = cgutils.alloca_once(builder, sums), cgutils.alloca_once(builder, sums)
         builder.store(ir.Constant(sums, [0] * n_lanes), earlier)
         with builder.if_then(adds):
@@ -117,7 +116,7 @@ def path_step(
 
 @intrinsic
 def prefetch(typingctx, array, index):
-    """Ask for the cache line of ``array[index]``, which may lie outside the array."""
+    """Prefetch the cache line of ``array[index]``, which may be outside the array."""
 
     def codegen(context, builder, signature, args):
         place = address(context, builder, array, args[0], args[1], ir.IntType(8))

@@ -17,8 +17,8 @@ from depthcli.methods.stereo.optimization._path_step import BYTE_LANES, LANES, p
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
 _GUARD, _BYTE_GUARD = 0x7FFF, 0xFF  # above all path costs, in 16 or 8 bits
-_BACK: NDArray[np.int64] = np.array([(0, 1), (1, 1), (1, 0), (1, -1)])  # to the pixels before, on paths downwards
-_TILE = 16, 96  # rows and columns that a thread computes at once where two threads are not all
+_BACK: NDArray[np.int64] = np.array([(0, 1), (1, 1), (1, 0), (1, -1)])  # to the previous pixels on downward paths
+_TILE = 16, 96  # rows and columns that a thread computes at once, with more than 3 threads
 _PADDING_COST = 20000  # of disparities added to fill a vector: above every cost, so that no path selects them
 
 
@@ -26,7 +26,7 @@ class Scanline(Optimizer):
     """Mean of the smallest costs of paths that end at a cell, from 4 or 8 directions.
 
     ``L(p, d) = C(p, d) + min(L(q, d), L(q, d +- 1) + P1, min L(q) + P2) - min L(q)`` with q the pixel before
-    p on the path. Both penalties are reduced where the left image has an edge between q and p.
+    p on the path. Both penalties are reduced if the left image has an edge between q and p.
     """
 
     aliases = ("SGM", "SO")
@@ -49,7 +49,7 @@ class Scanline(Optimizer):
         in_bytes = costs.dtype == np.uint8 and n_disparities >= BYTE_LANES
         if in_bytes and int(table.max()) + int(costs.max()) < _BYTE_GUARD:
             table = table.astype(np.uint8)
-        # 1 where the pixel to the left, upper left, above, upper right differs in color.
+        # 1 if the pixel to the left, upper left, above, upper right differs in color.
         edges = (color_steps(pair.color8[0], _BACK, largest=True) > self.edge_threshold).view(np.uint8)
         total = memory.empty(costs.shape, np.uint16)
         # Path costs of two sweeps, 0 between guard cells, and their minima; see _sweep.
@@ -82,10 +82,10 @@ def _sweep_both(
     state: NDArray[Any],
     minima: NDArray[Any],
 ) -> None:
-    # One sweep downwards, one upwards. They write their sums until they meet in the middle, and then add them to what
-    # the other one has written. Each goes through bands of ``rows`` rows, cut into tiles of ``columns`` pixels that
-    # move a pixel back with every row: a tile needs the one before and those of the band before up to the same place,
-    # so that bands run beside each other, each a tile behind the one before.
+    # One sweep runs downwards, one upwards. They write their sums until they meet in the middle; then each adds to the
+    # sums of the other. A sweep consists of bands of ``rows`` rows, cut into tiles of ``columns`` pixels that move back
+    # a pixel with every row. A tile needs the tile before it, and the tiles of the band before up to the same place. So
+    # bands run side by side, each a tile behind the one before.
     height, width = costs.shape[:2]
     rows, columns = _TILE if n_threads() > 3 else (height, height + width)
     middle = (height + 1) // 2
@@ -105,7 +105,7 @@ def _sweep_both(
 
 @jit
 def _sweep_tiles(begin, end, costs, sums, edges, table, diagonal, adds, state, minima, step):
-    # The tiles of one turn: those of the bands from ``first_band`` on, of the sweep downwards and of that upwards.
+    # The tiles of one turn, in both sweeps: one tile of every band from ``first_band`` on.
     height = costs.shape[0]
     turn, first_band, rows, columns = step
     for task in range(begin, end):
@@ -122,10 +122,10 @@ def _sweep_tiles(begin, end, costs, sums, edges, table, diagonal, adds, state, m
 
 @jit
 def _sweep(costs, sums, edges, table, diagonal, upwards, adds, state, minima, first, last, tile, tile_end):
-    # Rows ``first`` to ``last`` of a sweep, in each the columns from ``tile`` to ``tile_end``, both minus the row.
-    # Sums are written, or, with ``adds``, added. Paths from the left, above, upper left and upper right; upwards: from
-    # the opposite directions. ``state`` holds the path costs, D + 2 cells per pixel: two pixels of the path of each
-    # row, then for each of the three directions from above two rows of W + 2 pixels that alternate. New paths begin at
+    # Rows ``first`` to ``last`` of a sweep; in each, the columns ``tile`` to ``tile_end``, both minus the row. Sums are
+    # written or, with ``adds``, added. Paths come from the left, above, upper left and upper right; upwards, from the
+    # opposite directions. ``state`` contains the path costs, D + 2 cells per pixel: two pixels of the path along each
+    # row; then, for each of the three directions from above, two alternating rows of W + 2 pixels. New paths begin at
     # margin pixels.
     height, width, n_disparities = costs.shape
     cells = n_disparities + 2
@@ -133,7 +133,7 @@ def _sweep(costs, sums, edges, table, diagonal, upwards, adds, state, minima, fi
     to_next_row = step * width * n_disparities
     for row in range(first, last):
         y = height - 1 - row if upwards else row
-        edge_row = y + 1 if upwards else y  # the row of ``edges`` towards the row before
+        edge_row = y + 1 if upwards else y  # the row of ``edges`` towards the previous row
         odd = row & 1
         old, new = 2 * height + odd * 3 * (width + 2), 2 * height + (1 - odd) * 3 * (width + 2)
         for column in range(max(tile - row, 0), min(tile_end - row, width)):

@@ -1,4 +1,4 @@
-"""No optimization: the disparity of every pixel is selected by itself."""
+"""No optimization: the disparity of every pixel is selected independently."""
 
 from __future__ import annotations
 

@@ -5,8 +5,8 @@
 | ``local`` | costs -> aggregation -> optimization -> cheapest disparities -> refinement (thesis, chapter 3) |
 | ``segments`` | costs -> a plane for every segment of the left image, by graph cuts (thesis, chapter 2) |
 | ``onnx`` | a network in an ONNX file -> checked against the right view's map |
-| ``opencv_bm``, ``opencv_sgbm`` | OpenCV's block matching and semi-global matching, to compare with |
-| ``command`` | a program of others: image files -> the file of a map |
+| ``opencv_bm``, ``opencv_sgbm`` | OpenCV's block matching and semi-global matching, for comparison |
+| ``command`` | an external program: image files -> the file of a map |
 """
 
 from __future__ import annotations

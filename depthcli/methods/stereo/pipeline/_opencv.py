@@ -30,7 +30,7 @@ class Wls(ConfigModel):
 
 
 class OpencvMatcher(StereoPipeline):
-    """A matcher of OpenCV, padded so that it answers up to the border, with optional WLS filter and fill."""
+    """A matcher of OpenCV, padded so that it gives values up to the border, with optional WLS filter and fill."""
 
     uniqueness: int = Field(10, ge=0, le=100, description="margin that the best cost needs over the second best, %")
     left_right: int = Field(1, ge=-1, le=16384, description="largest left-right difference, pixels; -1: no check")
@@ -44,8 +44,8 @@ class OpencvMatcher(StereoPipeline):
     ) -> StereoResult:
         """Run ``matcher``, cv2.StereoSGBM or cv2.StereoBM, on a pair of (H, W) or (H, W, 3) uint8, padded.
 
-        The matchers give no value in the first ``opencv_disparities`` columns, so the pair is padded on the left by
-        repeating its border, by ``margin`` pixels more on every side, and the result is cropped.
+        The matchers give no value in the first ``opencv_disparities`` columns. So the pair is padded on the left by
+        repeating its border, and by ``margin`` more pixels on every side. The result is cropped.
         """
         matcher.setUniquenessRatio(self.uniqueness)
         matcher.setDisp12MaxDiff(self.left_right)
@@ -85,7 +85,7 @@ def opencv_disparities(max_disparity: int) -> int:
 
 
 def _to_map(raw: NDArray[Any], max_disparity: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    # Values and status of (H, W) int16; more than a step beyond the range is OUT_OF_RANGE.
+    # Values and status of (H, W) int16; a pixel or more beyond the range is OUT_OF_RANGE.
     status = np.zeros(raw.shape, np.uint8)
     status[raw >= (max_disparity + 1) * _FRACTIONS] = Status.OUT_OF_RANGE
     status[raw < 0] = Status.MISMATCH

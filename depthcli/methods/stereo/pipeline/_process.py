@@ -1,4 +1,4 @@
-"""Programs of others as processes: started in a scratch folder, watched, and ended with all that they started."""
+"""External programs as processes: started in a scratch folder, watched, and ended with all that they started."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from depthcli.core.errors import InputError
 from depthcli.core.text import one_line, show_bytes
 from depthcli.kernels.jit import n_threads
 
-_LOOK_SECONDS = 0.05  # between two looks at a running program
+_LOOK_SECONDS = 0.05  # between two checks of a running program
 _MAX_REASON = 300  # characters of a program's output in a message
 
 
 class ProgramError(InputError):
-    """A program failed: it cannot be started, was ended, or its result cannot be used."""
+    """A program failed: it cannot be started, was ended, or gave no usable result."""
 
 
 @contextlib.contextmanager
 def scratch_folder(context: Context) -> Iterator[Path]:
-    """Give an empty folder; it is deleted at the end, but kept where a program fails, whose message then names it."""
+    """Yield an empty folder and delete it at the end; if a program fails, keep it and name it in the message."""
     name = re.sub(r"[^\w.-]", "_", context.name)[:40]
     folder, kept = Path(tempfile.mkdtemp(prefix=f"depthcli-{name}-")), False
     try:
@@ -48,9 +48,9 @@ def run_program(
 ) -> None:
     """Run a program in ``folder`` and end its process group; its output goes to files there.
 
-    ``variables`` are added to its environment, its processor time and memory to those of the scene.
-    ProgramError, with the end of the program's output, where it fails, runs for more than ``timeout`` seconds, or takes
-    more memory than the scene may.
+    ``variables`` are added to its environment, its CPU time and memory to the figures of the scene. ProgramError, with
+    the end of the program's output, if it fails, runs for more than ``timeout`` seconds, or takes more memory than the
+    scene may.
     """
     name = os.path.basename(words[0])
     logs = [folder / "stderr.txt", folder / "stdout.txt"]
@@ -83,31 +83,31 @@ def run_program(
     if problem:
         raise ProgramError(f"{name} {problem}{_end_of(logs)}")
     context.used["program_cpu"] = round(context.used.get("program_cpu", 0.0) + used.ru_utime + used.ru_stime, 6)
-    if used.ru_maxrss > resource.getrusage(resource.RUSAGE_SELF).ru_maxrss:  # what it has from us when it starts counts
+    if used.ru_maxrss > resource.getrusage(resource.RUSAGE_SELF).ru_maxrss:  # it includes our memory at the start
         peak = max(peak, used.ru_maxrss * (1 if sys.platform == "darwin" else 1024))
     context.used["program_memory"] = max(context.used.get("program_memory", 0), peak)
 
 
 @contextlib.contextmanager
 def _ended_group(group: int) -> Iterator[None]:
-    """End a group of processes after the block, also where this process is killed within it."""
+    """End a group of processes after the block, even if this process is killed within it."""
     line = ["/bin/sh", "-c", 'read -r _; kill -s KILL -- "-$0"', str(group)]
     with subprocess.Popen(line, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True):
-        yield  # then the pipe is closed, as it is where this process ends
+        yield  # then the pipe closes, as it does when this process ends
 
 
 def _resident_bytes(session: int) -> int:
-    """Return the resident memory of the processes of a session, bytes; 0 where there is no ``/proc``."""
+    """Return the resident memory of the processes of a session, bytes; 0 if there is no ``/proc``."""
     pages = 0
     for stat in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError, IndexError):  # it has ended
+        with contextlib.suppress(OSError, IndexError):  # the process has ended
             facts = stat.read_bytes().rpartition(b")")[2].split()
             pages += int(facts[21]) if int(facts[3]) == session else 0
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def _end_of(logs: Sequence[Path]) -> str:
-    """Return the last lines of the first of these files that has any, as the end of a message."""
+    """Return the last lines of the first of these files that has any, to append to a message."""
     for log in logs:
         with log.open("rb") as file:
             file.seek(max(0, log.stat().st_size - 4 * _MAX_REASON))

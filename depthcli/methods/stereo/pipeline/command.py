@@ -27,12 +27,12 @@ from depthcli.methods.stereo.pipeline._process import ProgramError, run_program,
 from depthcli.methods.stereo.volume import StereoResult
 
 _PLACEHOLDERS = ["left", "right", "max_disparity", "min_disparity", "output", "scratch", "name", "threads", "cwd"]
-_VARIABLE = "DEPTHCLI_"  # begins the names of variables that have the values of placeholders
+_VARIABLE = "DEPTHCLI_"  # prefix of the environment variables with the values of placeholders
 _SHELLS = ("sh", "bash", "dash", "ksh", "zsh")
 _SUFFIXES = {"pfm": ".pfm", "kitti": ".png", "npy": ".npy", "tiff": ".tiff", "png": ".png"}
 _KITTI_SCALE = 256.0  # codes per pixel
 _MAP_BYTES = 200  # of this process, per pixel, while a program runs and its map is read
-_BYTES_PER_CELL = 8  # a guess of what programs that match tiles take
+_BYTES_PER_CELL = 8  # a guess for programs that match tiles
 
 
 def _seconds(value: Any) -> Any:
@@ -48,19 +48,19 @@ _Number = Annotated[float, Field(ge=-1e300, le=1e300)]
 
 
 class Program(StereoPipeline):
-    """A program of others: two images and a range in, a disparity map out.
+    """An external program that computes a disparity map from two images and a range.
 
-    The program runs for every scene, in a scratch folder of its own, which is kept where the scene fails. The first
-    word is looked up in ``PATH``, or where it has a slash from the folder of the config file, and then from the
-    current folder. Other words that name a file, seen from one of these two, become its whole path. The content of
-    all these files is part of the run: scenes are computed again where it changes. The variable ``OMP_NUM_THREADS``
-    has the number of threads, ``DEPTHCLI_LEFT`` and so on have the values of the placeholders. No shell reads the
-    words, since the name of a scene could be a command; a shell is a program like others, which reads the variables:
+    The program runs for every scene in a scratch folder of its own, which is kept if the scene fails. The first word is
+    looked up in ``PATH``. If it has a slash, it is looked up in the folder of the config file, and then in the current
+    folder. Other words that name a file in one of these two folders become its whole path. The content of all these
+    files is part of the run: if it changes, scenes are computed again. The variable ``OMP_NUM_THREADS`` has the number
+    of threads; ``DEPTHCLI_LEFT`` and so on have the values of the placeholders. No shell reads the words, because the
+    name of a scene could be a command. A shell can itself be the program and read the variables:
     ``[sh, -c, 'tool "$DEPTHCLI_LEFT"']``. All processes of the program's group end with it.
 
-    The pair is as the toolkit matches it: rectified where a calibration is given, and shifted so that the range begins
-    at 0. Pixels without a value, or with a negative one, are ``MISMATCH``: programs do not say why; those beyond the
-    range are ``OUT_OF_RANGE``.
+    The program gets the pair as it is matched: rectified if a calibration is given, and shifted so that the range
+    begins at 0. Pixels without a value, or with a negative one, are ``MISMATCH``, because programs give no reason.
+    Pixels beyond the range are ``OUT_OF_RANGE``.
     """
 
     renamed: ClassVar[dict[str, str]] = {"shell": "program: [sh, -c, 'LINE'], with \"$DEPTHCLI_LEFT\" for {left}"}
@@ -143,7 +143,7 @@ class Program(StereoPipeline):
         return program if found == words else found
 
     def used_files(self) -> dict[str, Path]:
-        """Return role -> file, of the words that are files. ConfigError without the program."""
+        """Return role -> file for all words that are files; ConfigError if the program is not found."""
         first, *others = _words(self.program)
         found = shutil.which(first)
         if found is None:
@@ -153,7 +153,7 @@ class Program(StereoPipeline):
         return {f"program_{number}" if number else "program": file for number, file in enumerate(files)}
 
     def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None) -> StereoResult:
-        """Write the images, run the program, read its map; ProgramError where it failed."""
+        """Write the images, run the program, and read its map; ProgramError if it fails."""
         context, clock = context or Context(), Clock()
         clock.start("write")
         with scratch_folder(context) as scratch:
@@ -179,7 +179,7 @@ class Program(StereoPipeline):
         return StereoResult(DisparityMap(disparity, status), seconds=clock.seconds)
 
     def _command_line(self, texts: Mapping[str, str]) -> list[str]:
-        """Return the program and its arguments, with the values of placeholders, and whole paths of files."""
+        """Return the program and its arguments, with the values of placeholders and whole paths of files."""
         first, *others = _words(self.program)
         others = [os.path.abspath(word) if os.path.isfile(word) else word.format_map(texts) for word in others]
         return [os.path.abspath(shutil.which(first) or first), *others]
@@ -202,7 +202,7 @@ class Program(StereoPipeline):
         return files
 
     def _read_map(self, path: Path, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Return the map that the program wrote, (H, W) float32, NaN = no value; ProgramError: none of this size."""
+        """Return the program's map, (H, W) float32, NaN = no value; ProgramError if there is none of this size."""
         if not path.is_file():
             raise ProgramError(f"the program wrote no {path.name}")
         try:
@@ -220,7 +220,7 @@ class Program(StereoPipeline):
         return values
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Return the bytes of images and maps, and where pairs may be tiled a guess of those of the program."""
+        """Return the bytes of images and maps and, if pairs may be tiled, a guess for the program."""
         cells = 0 if self.halo is None else shape[0] * shape[1] * (max_disparity + 1)
         return _MAP_BYTES * shape[0] * shape[1] + _BYTES_PER_CELL * cells
 

@@ -24,5 +24,5 @@ class Local(CostStages, AdjustingMatcher, StereoPipeline):
         return self.volume_bytes(shape, max_disparity) + 200 * shape[0] * shape[1] + (64 << 20)
 
     def tile_stages(self) -> CostStages | None:
-        """Return its stages; None where a step of refinement looks at costs, which tiles do not keep."""
+        """Return the stages; None if a refinement step needs costs, which tiles do not keep."""
         return None if any(step.needs_costs for step in self.refinement) else self

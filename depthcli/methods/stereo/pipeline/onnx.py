@@ -1,4 +1,4 @@
-"""A stereo network in an ONNX file: pair in, map out."""
+"""A stereo network in an ONNX file."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ Sign = Literal["positive", "negative"]
 
 
 class Profile(NamedTuple):
-    """Conventions of a network, each of which a field of the config replaces."""
+    """Conventions of a network; fields of the config override them."""
 
     normalization: Normalization = "0-255"
     color_order: ColorOrder = "rgb"
-    multiple: int = 32  # of the sides of images, where it takes more than one size
-    sign: Sign = "positive"  # of its output where disparities are positive
+    multiple: int = 32  # of the sides of images, if it takes more than one size
+    sign: Sign = "positive"  # of its output for positive disparities
 
 
 PROFILES: dict[ProfileName, Profile] = {
@@ -68,14 +68,14 @@ _Side = Annotated[int, Field(ge=16, le=16384)]
 class NetworkPipeline(Network, StereoPipeline):
     """A network that maps a rectified pair to the left view's disparities, run by onnxruntime.
 
-    Inputs are found from names and shapes: one with 6 or 2 channels (left, then right), two images, or four, of which
-    two are the pair at half its size; channels are the first or the last axis. The output is the one of the size of the
-    input, with "disp" in its name if there are several. A profile sets the conventions of a published network; fields
-    that are given go before it.
+    Inputs are identified by names and shapes: one with 6 or 2 channels (left, then right), two images, or four, two of
+    which are the pair at half size. Channels are the first or the last axis. The output is the one of the input's size;
+    if there are several, the last one, preferably with "disp" in its name. A profile sets the conventions of a
+    published network; fields that are given override it.
 
-    The network runs a second time on the pair swapped and mirrored, which gives the right view's map. Pixels where the
-    two disagree are ``OCCLUDED``, if nothing in the right view is matched to them, else ``MISMATCH``; confidence
-    ``lrc`` is minus the difference. The network's value there is a guess from around: ``FILLED``.
+    The network runs a second time on the pair swapped and mirrored, which gives the right view's map. A pixel where the
+    two disagree is ``MISMATCH`` if the right view is matched to it, and otherwise ``OCCLUDED``. The network's value
+    there is a guess from its surroundings: ``FILLED``. Confidence ``lrc`` is minus the difference.
     """
 
     uses_devices: ClassVar[bool] = False
@@ -129,11 +129,11 @@ class NetworkPipeline(Network, StereoPipeline):
         return None
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Estimate the bytes of a network with 64 channels at half the size, several of which exist at a time."""
+        """Estimate the bytes of a network that has several layers of 64 channels at half size at a time."""
         return 1024 * shape[0] * shape[1] + (256 << 20)
 
     def left_map(self, pair: StereoPair) -> NDArray[np.float32]:
-        """Return (H, W) float32 disparities of the left view, pixels, whatever range and sign they turn out to have."""
+        """Return (H, W) float32 disparities of the left view, pixels, not limited to any range."""
         given = {name: value for name in Profile._fields if (value := getattr(self, name)) is not None}
         conventions = (Profile() if self.profile is None else PROFILES[self.profile])._replace(**given)
         session = self.session
@@ -160,7 +160,7 @@ class NetworkPipeline(Network, StereoPipeline):
         return -disparity if conventions.sign == "negative" else disparity
 
     def _plan(self) -> tuple[list[_Feed], tuple[int, int] | None]:
-        """Return what the inputs get, and the (H, W) of images, None: any; InputError where that is not clear."""
+        """Return the views that the inputs get, and the (H, W) of images (None: any); InputError if it is not clear."""
         session = self.session
         feeds = _feeds(session)
         if bool(session.counts) != (self.iterations is not None) or len(session.counts) > 1:
@@ -186,7 +186,7 @@ def _compared(left: NDArray[np.float32], right: NDArray[np.float32]) -> tuple[ND
 
 
 def _in_range(values: NDArray[np.float32], status: NDArray[np.uint8], max_disparity: int) -> DisparityMap:
-    # Half a pixel beyond an end is the end.
+    # A value up to half a pixel beyond an end becomes the end.
     status[(values < -0.5) | (values > max_disparity + 0.5)] = Status.OUT_OF_RANGE
     status[~np.isfinite(values)] = Status.NO_DATA
     valid = (status & np.uint8(Status.OUT_OF_RANGE | Status.NO_DATA)) == 0
@@ -195,7 +195,7 @@ def _in_range(values: NDArray[np.float32], status: NDArray[np.uint8], max_dispar
 
 
 class _Feed(NamedTuple):
-    # What an input gets: one view, or both, one after the other along the channels; at full or at half size.
+    # The views that an input gets: one, or both, one after the other along the channels; at full or at half size.
 
     target: ImageInput
     views: tuple[int, ...]  # 0: left, 1: right
@@ -208,7 +208,7 @@ class _Feed(NamedTuple):
 
 
 def _feeds(session: Session) -> list[_Feed]:
-    """Return which views the images of a network are; InputError where their number and channels do not say it."""
+    """Return the views that a network's inputs get; InputError if their number and channels do not determine them."""
     images, channels = [*session.images], {image.channels for image in session.images}
     if len(images) == 1 and channels <= {2, 6}:
         return [_Feed(images[0], (0, 1))]
@@ -220,11 +220,11 @@ def _feeds(session: Session) -> list[_Feed]:
             f"{session.model}: expected one input of 2 or 6 channels, two images, or four with two at half size; "
             f"it has {shown}{part}"
         )
-    if len(images) == 4:  # the smaller ones, or those whose names say so, are at half size
+    if len(images) == 4:  # the smaller ones, or the ones with "init" in their names, are at half size
         images = sorted(images, key=lambda i: ((i.size[0] or 0) * (i.size[1] or 0), "init" not in i.name.lower()))
     feeds = []
     for k in range(0, len(images), 2):
-        first, second = images[k : k + 2]  # in the order of the network, unless their names say the reverse
+        first, second = images[k : k + 2]  # in the order of the network, unless their names reverse it
         if "right" in first.name.lower() and "left" in second.name.lower():
             first, second = second, first
         feeds += [_Feed(first, (0,), k + 2 < len(images)), _Feed(second, (1,), k + 2 < len(images))]
@@ -232,10 +232,10 @@ def _feeds(session: Session) -> list[_Feed]:
 
 
 def _disparity_of(outputs: dict[str, NDArray[Any]], size: tuple[int, int], model: str) -> NDArray[np.float32]:
-    """Return the output that is the map, (H, W) of ``size``: the last one, with "disp" in its name if there is one."""
+    """Return the output that is the map, (H, W) of ``size``: the last one, preferably with "disp" in its name."""
     maps = {}
     for name, array in outputs.items():
-        if array.ndim == 3:  # of two channels in front the second one is the disparity along y
+        if array.ndim == 3:  # of two channels in front, the second one is the disparity along y
             array = array[0] if array.shape[1:] == size and len(array) <= 2 else array[..., 0]
         if array.shape == size:
             maps[name] = array
@@ -247,7 +247,7 @@ def _disparity_of(outputs: dict[str, NDArray[Any]], size: tuple[int, int], model
 
 
 def _resized(image: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
-    """Return an (H, W) or (H, W, C) image with ``size`` rows and columns: averaged where it shrinks, else linear."""
+    """Return an (H, W) or (H, W, C) image with ``size`` rows and columns, averaged if it shrinks, otherwise linear."""
     if image.shape[:2] == size:
         return image
     shrinks = size[0] <= image.shape[0] and size[1] <= image.shape[1]
@@ -256,13 +256,13 @@ def _resized(image: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.fl
 
 
 _SHIFTS = (4, 12)  # pixels
-_SIZE = (192, 320)  # where the network takes any size
+_SIZE = (192, 320)  # if the network takes any size
 _OCTAVES = (1, 2, 4, 8, 16)  # pixels, of the texture
 
 
-@lru_cache(maxsize=4)  # an exception is not kept, but ends the run
+@lru_cache(maxsize=4)  # exceptions are not cached, but end the run
 def _check_shifts(method: NetworkPipeline, session: Session) -> None:
-    """Raise InputError where the network does not find by how many pixels a textured plane is shifted."""
+    """Raise InputError if the network does not find by how many pixels a textured plane is shifted."""
     found, size = [], method._plan()[1] or _SIZE
     for shift in _SHIFTS:
         disparity = method.left_map(_textured_plane(size, shift))
@@ -289,7 +289,7 @@ def _check_shifts(method: NetworkPipeline, session: Session) -> None:
 
 
 def _textured_plane(size: tuple[int, int], shift: int) -> StereoPair:
-    # Noise of several scales: networks trained with photographs find little in that of single pixels.
+    # Noise of several scales: networks trained with photographs find little in noise of single pixels.
     rng = np.random.default_rng(0)
     height, width = size[0], size[1] + shift
     total = np.zeros((height, width, 3), np.float32)

@@ -1,4 +1,4 @@
-"""OpenCV's block matching, to compare with."""
+"""OpenCV's block matching, for comparison."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from depthcli.methods.stereo.volume import StereoResult
 
 
 class OpencvBm(OpencvMatcher):
-    """``cv2.StereoBM`` on grey images, padded so that it answers up to the border, with optional WLS filter and fill.
+    """``cv2.StereoBM`` on grey images, padded to give values up to the border, with optional WLS filter and fill.
 
-    Pixels that OpenCV rejects (texture, uniqueness, left-right check, speckles: it does not say which)
-    are ``MISMATCH``.
+    Pixels that OpenCV rejects are ``MISMATCH``, whatever the reason (texture, uniqueness, left-right check, speckles).
     """
 
     aliases = ("BM",)
@@ -31,7 +30,7 @@ class OpencvBm(OpencvMatcher):
         matcher.setPreFilterCap(self.pre_filter_cap)
         matcher.setTextureThreshold(self.texture)
         left, right = pair.grey8
-        # Blocks must fit into the image, and no answer is given where they reach beyond it.
+        # Blocks must fit into the image. OpenCV gives no value where they reach beyond it.
         return self.matched(matcher, left, right, max_disparity, self.block // 2 + 1)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:

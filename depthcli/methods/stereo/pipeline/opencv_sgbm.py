@@ -1,4 +1,4 @@
-"""OpenCV's semi-global matching, to compare with."""
+"""OpenCV's semi-global matching, for comparison."""
 
 from __future__ import annotations
 
@@ -22,10 +22,9 @@ _MODES = {
 
 
 class OpencvSgbm(OpencvMatcher):
-    """``cv2.StereoSGBM``, padded on the left so that it answers there too, with optional WLS filter and fill.
+    """``cv2.StereoSGBM``, padded to give values at the left border too, with optional WLS filter and fill.
 
-    Pixels that OpenCV rejects (uniqueness, left-right check, speckles: it does not say which) are
-    ``MISMATCH``.
+    Pixels that OpenCV rejects are ``MISMATCH``, whatever the reason (uniqueness, left-right check, speckles).
     """
 
     aliases = ("SGBM",)
@@ -54,12 +53,12 @@ class OpencvSgbm(OpencvMatcher):
             preFilterCap=self.pre_filter_cap,
             mode=_MODES[self.mode],
         )
-        # OpenCV refuses images no wider than half a block.
+        # OpenCV fails for images no wider than half a block.
         margin = 0 if left.shape[1] > self.block else self.block
         return self.matched(matcher, left, right, max_disparity, margin)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Estimate the bytes of the maps and of int16 costs and sums: volumes in modes hh and hh4, else a few rows."""
+        """Estimate the bytes of the maps and of int16 costs and sums: volumes in modes hh and hh4, otherwise rows."""
         height, width = shape
         n_disparities = opencv_disparities(max_disparity)
         rows, columns = height if self.mode in ("hh", "hh4") else 4, width + n_disparities

@@ -1,4 +1,4 @@
-"""Refinement: a disparity map in, a better one out. One file per step."""
+"""Refinement: a better disparity map from a disparity map. One file per step."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ class Refinement(Method):
     """A step of refinement."""
 
     needs_costs: ClassVar[bool] = True
-    """Whether it uses costs, for which the pair must be matched whole; others also refine the map of many tiles."""
+    """Whether it uses costs: then the pair must be matched whole. Other steps also refine a map made in tiles."""
 
     fills: ClassVar[bool] = False
-    """Whether it sets values of pixels that have none."""
+    """Whether it sets values of pixels without one."""
 
     def halo(self) -> int | None:
-        """Return the number of rows above and below a pixel that its result depends on; None: the whole map."""
+        """Return on how many rows above and below a pixel its result depends; None: on the whole map."""
         return None
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""Fill pixels without a value from the background beside them."""
+"""Fill pixels without a value from the background next to them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from depthcli.methods.stereo.volume import RefinementContext
 class BackgroundFill(Refinement):
     """Give every empty pixel the smaller of the nearest values left and right of it on its row.
 
-    An occluded surface lies behind the occluding one, so the smaller disparity is more likely. Rows without any value
+    An occluded surface is behind the occluding one, so the smaller disparity is more likely. Rows without any value
     are filled from the rows above and below. A map without any value stays empty.
     """
 
@@ -31,7 +31,7 @@ def fill_background(disparity: DisparityMap) -> DisparityMap:
 
 
 def filled_from_background(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return (H, W) values without NaN, filled as by :class:`BackgroundFill`; all are NaN if all were."""
+    """Return (H, W) values filled as by :class:`BackgroundFill`, without NaN unless all are NaN."""
     values = values.copy()
     run_bands(_fill_rows, len(values), values)
     known = np.flatnonzero(~np.isnan(values[:, 0]))  # a row has all values now or none

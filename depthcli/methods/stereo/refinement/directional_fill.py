@@ -1,4 +1,4 @@
-"""Replace filled values by those of surfaces that no color edge separates from the pixel."""
+"""Replace filled values by values of surfaces that no color edge separates from the pixel."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import RefinementContext
 
 _AXES: NDArray[np.int64] = np.array([(0, 1), (1, 0), (1, 1), (1, -1)])
-"""(dy, dx) of the steps in which values are searched, forth and back."""
-# Chosen on the tuning scenes of scripts/stereo_groups.yaml; the errors change little around them. The device kernel
-# (fills.cl) has the same values.
+"""(dy, dx) of the steps of a search, which goes both ways."""
+# Chosen on the tuning scenes of scripts/stereo_groups.yaml; the errors change little around these values. The device
+# kernel (fills.cl) has the same values.
 _SMOOTHING_RADIUS = 3  # pixels, of a Gaussian of 1 pixel
-_MAX_COST = 4.0  # of a value, beyond which it is not looked for
-_CONTRADICTION = 1.5  # cost of a value that the right view could not have overlooked
-_MAX_EXCESS = 1.5  # pixels of disparity by which a value may exceed that of its match in the right view
-_MARGIN = 1.0  # by which a value must cost less than what agrees with the fill
-_AGREEMENT = (2.0, 0.3)  # pixels, and per pixel of distance: a value that is this close to the fill agrees with it
+_MAX_COST = 4.0  # of a value: the search ends beyond it
+_CONTRADICTION = 1.5  # added cost of a value that contradicts the right view
+_MAX_EXCESS = 1.5  # pixels of disparity by which a value may exceed the right view's value at its match
+_MARGIN = 1.0  # by which a value must cost less than the values that agree with the fill
+_AGREEMENT = (2.0, 0.3)  # pixels, and pixels per pixel of distance: a value this close to the fill agrees with it
 
 
 class DirectionalFill(Refinement):
-    """Give filled pixels the nearest value of another direction where color edges speak against their fill.
+    """Give filled pixels the nearest value of another direction if color edges contradict their fill.
 
-    Fills along the row take the surfaces at the gap's two ends; behind several objects the surface of the gap may be
-    seen above or below it alone. The nearest measured values in 8 directions cost as much as the largest change of
-    color and the distance on the way there say, and more where the right view contradicts: a value larger than that of
-    its match in the right view would be in front of what was seen there. The cheapest one replaces the fill where it
-    costs less by 1 than all that agree with the fill. The strip on the left that the right view cannot see keeps its
-    fill.
+    Fills along the row take the surfaces at the gap's two ends. Behind several objects, however, the gap's surface may
+    only be visible above or below it. So the nearest measured values in 8 directions are compared. Their cost is the
+    largest change of color on the way plus the distance. A value larger than the right view's value at its match costs
+    more, because it would be in front of the surface that the right view sees. The cheapest value replaces the fill if
+    it costs less by 1 than all values that agree with the fill. The strip on the left that the right view cannot see
+    keeps its fill.
     """
 
     needs_costs = False
@@ -58,12 +58,12 @@ class DirectionalFill(Refinement):
         return DisparityMap(values, disparity.status)
 
     def smoothed(self, pair: StereoPair) -> NDArray[np.uint8]:
-        """Return the left image, (H, W, 3), without the noise that would be taken for edges."""
+        """Return the left image, (H, W, 3), without noise that would be taken for edges."""
         side = 2 * _SMOOTHING_RADIUS + 1
         return np.asarray(cv2.GaussianBlur(pair.color8[0], (side, side), 1.0), np.uint8)
 
     def rates(self) -> tuple[np.float32, np.float32]:
-        """Return what a sum of color differences of 1 costs, and what a pixel of distance does."""
+        """Return the cost of a sum of color differences of 1, and the cost of a pixel of distance."""
         return np.float32(1 / (3 * self.color_scale)), np.float32(1 / self.distance_scale)
 
 
@@ -102,7 +102,7 @@ def _replace(begin, end, values, measured, changes, right, axes, color_rate, dis
 
 @jit
 def _search(measured, changes, y, x, dy, dx, back, color_rate, distance_rate, limit):
-    # Cost and distance, in steps, of the nearest measured pixel in a direction; not less than ``limit`` without one.
+    # Cost and distance (steps) of the nearest measured pixel in a direction; if there is none, at least ``limit``.
     height, width = measured.shape
     edge = np.float32(0)
     distance = 1

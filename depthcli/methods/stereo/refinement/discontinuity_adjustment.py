@@ -11,7 +11,7 @@ from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
 
 class DiscontinuityAdjustment(Refinement):
-    """Replace a disparity at a jump by that of a neighbor where this has a lower cost at the pixel."""
+    """Replace a disparity at a jump by a neighbor's disparity if this has a lower cost at the pixel."""
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values = disparity.values
@@ -26,7 +26,7 @@ class DiscontinuityAdjustment(Refinement):
 
 @jit
 def _adjust(begin, end, values, costs, dy, dx, adjusted):
-    # Beside rows ``dy`` and columns ``dx`` away: the first row is the ``dy``-th.
+    # Neighbors are ``dy`` rows and ``dx`` columns away on both sides. ``begin`` and ``end`` count from row ``dy``.
     _, width, n_disparities = costs.shape
     for y in range(dy + begin, dy + end):
         for x in range(dx, width - dx):

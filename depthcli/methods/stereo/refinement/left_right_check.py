@@ -13,10 +13,10 @@ from depthcli.methods.stereo.volume import RefinementContext
 
 
 class LeftRightCheck(Refinement):
-    """Remove pixels whose disparity differs from that of the right view at their match.
+    """Remove pixels whose disparity differs from the right view's disparity at their match.
 
-    The right view's map is read from the same volume, which is many times faster than matching again. A removed pixel
-    is occluded if no pixel of the right view at all is matched to it, else mismatched (Hirschmueller 2008).
+    The right view's map is read from the same volume, which is much faster than matching again. A removed pixel is
+    occluded if no pixel of the right view is matched to it, and otherwise mismatched (Hirschmueller 2008).
     """
 
     needs_costs = False

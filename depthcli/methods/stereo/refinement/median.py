@@ -14,7 +14,7 @@ from depthcli.methods.stereo.volume import RefinementContext
 
 
 class Median(Refinement):
-    """Median of a square window. Where a window has a pixel without a value, its center is not changed."""
+    """Median of a square window. If a window has a pixel without a value, its center is not changed."""
 
     needs_costs = False
 

@@ -13,7 +13,7 @@ from depthcli.methods.stereo.volume import RefinementContext
 
 
 class RegionVoting(Refinement):
-    """Give an empty pixel the most frequent disparity of its cross-shaped support, where enough pixels agree."""
+    """Give an empty pixel the most frequent disparity of its cross-shaped support if enough pixels agree."""
 
     needs_costs = False
     fills = True

@@ -27,18 +27,18 @@ from depthcli.methods.stereo.volume import RefinementContext
 
 _STEPS_PER_PIXEL = 8  # resolution of results; finer differences would be noise
 BLOCK = SHORT_LANES
-"""Pixels of a row whose medians are found together; the device kernel (slanted.cl) has the same."""
-_DENSE_RADIUS = 3  # in larger windows every other pixel has the same median
+"""Pixels of a row whose medians are computed together; the device kernel (slanted.cl) has the same number."""
+_DENSE_RADIUS = 3  # larger windows leave out every other pixel; their median is the same
 _FAR = np.float32(1e9)  # pixels: beyond all disparities
 
 
 class SlantedMedian(Refinement):
     """Weighted median as in ``weighted_median``, of values extrapolated to the center of the window.
 
-    A plain median flattens slopes where colors restrict it to one side of its window. The value of q for p is
-    ``d_q + g_q . (p - q)`` with the slope g_q of a plane fitted around q, its weight
+    A plain median flattens slopes if colors restrict it to one side of its window. Here q votes for the value
+    ``d_q + g_q . (p - q)`` at p, with the slope g_q of a plane fitted around q. The weight of the vote is
     ``exp(-color / color_scale - distance / distance_scale)``. The result is a multiple of 1/8 pixel. Pixels without a
-    value stay so. Windows of more than 7 x 7 pixels are sampled like the squares of one color on a checkerboard.
+    value stay empty. Windows of more than 7 x 7 pixels are sampled like the squares of one color on a checkerboard.
     """
 
     needs_costs = False
@@ -80,7 +80,7 @@ class SlantedMedian(Refinement):
     def weights(self) -> tuple[NDArray[np.float32], np.float32]:
         """Return sixteenths of the weights' exponents: by place in the window, and for a color difference of 1.
 
-        Places that are left out are infinite: in windows of more than 7 x 7 pixels, every other one.
+        Places that are left out are infinite: every other one in windows of more than 7 x 7 pixels.
         """
         offsets = np.arange(-self.radius, self.radius + 1)
         distance = (np.hypot(offsets[:, None], offsets[None, :]) / (16 * self.distance_scale)).astype(np.float32)
@@ -91,7 +91,7 @@ class SlantedMedian(Refinement):
 
 @jit
 def _filter(begin, end, planes, values, gradient, trust, grid, distance, color_rate, max_disparity, out):
-    # Inputs but ``grid`` and ``distance`` have a margin without trust. The medians of a block of pixels are found
+    # All inputs but ``grid`` and ``distance`` have a margin without trust. Medians of a block of pixels are computed
     # together, by halving intervals.
     width = out.shape[1]
     count, radius = grid.shape[0], distance.shape[0] // 2

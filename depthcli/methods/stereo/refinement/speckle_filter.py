@@ -12,7 +12,7 @@ from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import RefinementContext
 
 _NONE = -32768  # of a pixel without a value
-_MAX_STEPS = 16  # of a pixel, as in OpenCV's 16-bit disparities; fewer above 2000 disparities
+_MAX_STEPS = 16  # of a pixel of disparity, as in OpenCV's 16-bit disparities; fewer above 2000 disparities
 
 
 class SpeckleFilter(Refinement):
@@ -36,12 +36,12 @@ class SpeckleFilter(Refinement):
 
 
 def steps_of(n_disparities: int) -> int:
-    """Return the number of steps into which a pixel of disparity is divided."""
+    """Return the number of steps per pixel of disparity."""
     return max(1, min(_MAX_STEPS, 32767 // n_disparities))
 
 
-# Regions are joined inside of bands of rows, side by side, then across the rims of the bands. Each run of similar
-# values in a row is a node; its first pixel stands for it in ``parent``, and for its region in ``sizes``.
+# Regions are joined within bands of rows, all bands in parallel, and then across the rims of the bands. Each run of
+# similar values in a row is a node; its first pixel represents it in ``parent``, and its region in ``sizes``.
 
 
 @jit

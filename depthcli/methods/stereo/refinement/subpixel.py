@@ -12,10 +12,10 @@ from depthcli.methods.stereo.volume import CostMinima, RefinementContext
 
 
 class Subpixel(Refinement):
-    """Move every whole-pixel disparity to the minimum of the parabola through its cost and the two beside it.
+    """Move every whole-pixel disparity to the minimum of the parabola through its cost and the two next to it.
 
-    Values that are not whole numbers, whose cost is no local minimum (filled ones, for example), or at an end of the
-    range are not changed.
+    A value is not changed if it is no whole number, if it is at an end of the range, or if its cost is no local minimum
+    (as of many filled values).
     """
 
     needs_costs = False

@@ -15,18 +15,18 @@ from depthcli.methods.stereo.volume import RefinementContext
 _MAX_STEP = 1.0  # pixels of disparity between neighbors of one surface
 _EDGE_SHIFT = 12  # columns by which the gap's edge may move from row to row
 _MAX_INTERRUPTION = 3  # pixels of other surfaces, or without a value, within a row
-_FIT_STEPS = 4  # least squares, the first without weights
+_FIT_STEPS = 4  # of least squares, the first without weights
 _HUBER_LIMIT = 0.5  # pixels
 _RIDGE = 1.0  # square pixels added to the variance of positions: a thin sample must not yield a steep plane
 
 
 class SurfaceFill(Refinement):
-    """Continue the surfaces at both ends of a gap along its row and take the one that lies farther back.
+    """Continue the surfaces at both ends of a gap along its row and take the one that is farther back.
 
-    A gap is an occlusion or the strip on the left that the right camera does not see. Holding the last value
+    A gap is an occlusion or the strip on the left that the right camera does not see. Repeating the last value
     (``background_fill``) is wrong by more than a pixel a few dozen pixels into a slanted surface. So a plane is
-    fitted to the surface each end belongs to: pixels connected to it through steps of at most one pixel,
-    by least squares with Huber weights, and the gap's pixels take the plane's values.
+    fitted to the surface at each end, and the gap's pixels take the plane's values. The fit is by least squares with
+    Huber weights, over pixels connected to the end by disparity steps of at most one pixel.
     """
 
     needs_costs = False
@@ -53,7 +53,7 @@ class SurfaceFill(Refinement):
 
 @jit
 def _continue_surfaces(begin, end, values, filled, rows, reach, support, largest, n_tasks):
-    # Gaps gather in some rows: a task takes every n-th.
+    # Gaps gather in some rows, so a task takes every n-th row.
     height = values.shape[0]
     for task in range(begin, end):
         sample = np.empty((4, (2 * rows + 1) * reach), np.float64)
@@ -73,7 +73,7 @@ def _fill_row(values, y, rows, reach, support, largest, sample, filled):
         while end < width and np.isnan(values[y, end]):
             end += 1
         left_slope = left_value = right_slope = right_value = 0.0
-        for step in (-1, 1):  # not literal arguments: the plane would be compiled once for each
+        for step in (-1, 1):  # a loop: with literal arguments the plane would be compiled twice
             at = end if step == 1 else x - 1
             if 0 <= at < width:
                 slope, value_there = _plane_along_row(values, y, at, step, rows, reach, support, sample)
@@ -94,7 +94,7 @@ def _fill_row(values, y, rows, reach, support, largest, sample, filled):
 
 @jit
 def _plane_along_row(values, y, x, step, rows, reach, support, sample):
-    # Slope along the row and value at (y, x) of the surface of (y, x), which lies towards ``step``.
+    # Slope along the row, and value at (y, x), of the surface that begins at (y, x) and continues towards ``step``.
     height, width = values.shape
     start = values[y, x]
     count = 0
@@ -104,7 +104,7 @@ def _plane_along_row(values, y, x, step, rows, reach, support, sample):
             v = y + sign * k
             if v < 0 or v >= height:
                 break
-            # The gap's edge moves from row to row: look for the surface near where it was.
+            # The gap's edge moves from row to row: look for the surface near the edge of the previous row.
             first = -1
             for offset in range(_EDGE_SHIFT):
                 for side in (step, -step):

@@ -25,15 +25,15 @@ from depthcli.methods.stereo.refinement import Refinement, with_smoothed
 from depthcli.methods.stereo.volume import RefinementContext
 
 _BINS_PER_PIXEL = 8
-_DOUBT = np.float32(1e-4)  # of all weights: many times what the order of additions changes in their sums
+_DOUBT = np.float32(1e-4)  # share of all weights: much more than the order of additions changes their sums
 
 
 class WeightedMedian(Refinement):
     """Weighted median of a window; pixels of the center's color count more, and filled ones less.
 
     A neighbor's weight is ``exp(-color / color_scale - distance / distance_scale)``, times ``filled_weight``
-    where its value was filled. Values are sorted into bins of 1/8 pixel; the result is the center of the
-    median's bin (a whole-pixel map stays one). Pixels without a value stay so.
+    if its value was filled. Values are sorted into bins of 1/8 pixel. The result is the center of the median's
+    bin, so that whole-pixel maps stay whole. Pixels without a value stay empty.
     """
 
     needs_costs = False
@@ -84,7 +84,7 @@ class WeightedMedian(Refinement):
 
 @jit
 def _equal(low, high):
-    # Whether every window of some pixels has at most one value.
+    # Whether every window of these pixels has at most one value.
     varied = False
     for i in range(low.size):
         varied |= low[i] < high[i]
@@ -93,8 +93,8 @@ def _equal(low, high):
 
 @jit
 def _weigh(colors, trust, shape, by_color, by_distance, first, differences, weights):
-    # The weights of the windows of a block of pixels, the first of which begins at ``first``. A row of the window is
-    # looked up at a time: vectors are not read right after their numbers were written one by one.
+    # The weights of the windows of a block of pixels. The first window begins at ``first``. A whole row of a window is
+    # looked up at a time, so that vectors are not read right after their numbers were written one by one.
     size, (plane_size, row_size) = by_distance.shape[0], shape
     center = first + (size // 2) * (row_size + 1)
     red, green = load_shorts(colors, center), load_shorts(colors, center + plane_size)
@@ -115,8 +115,8 @@ def _weigh(colors, trust, shape, by_color, by_distance, first, differences, weig
 
 @jit
 def _halve(bins, row_size, first, size, weights, found, margin):
-    # The medians of a block of pixels, by halving intervals, and by how much they are surely the right ones: the sums
-    # of the weights below them and up to them are not close to one half.
+    # The medians of a block of pixels, by halving intervals, and their margins. A margin is how far the sums of the
+    # weights below the median and up to it are from one half; the median is certain if its margin is positive.
     zero, half, far = splat(np.float32(0)), splat(np.float32(0.5)), splat(np.float32(1e9))
     total, low, high = zero, far, zero - far
     for dy in range(size):
@@ -156,14 +156,14 @@ def _count(bins, weights, i, low, high, histogram):
         k += 1
         below += histogram[k]
     histogram[low : high + 1] = 0
-    histogram[0] = 0  # where pixels without trust were counted, with weight 0
+    histogram[0] = 0  # pixels without trust were counted there, with weight 0
     return k
 
 
 @jit
 def _filter(begin, end, planes, bins, trust, by_color, by_distance, lowest, highest, filtered):
     # All inputs but the last three have a margin without trust. Weights and medians are computed for a block of pixels
-    # at a time. Where a median is not sure, the weights are added in the order of the window.
+    # at a time. If a median is not certain, the weights are added in the order of the window.
     width = filtered.shape[1]
     size, row_size = by_distance.shape[0], bins.shape[1]
     for y in range(begin, end):

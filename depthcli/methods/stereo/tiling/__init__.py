@@ -1,9 +1,9 @@
 """Large pairs, matched in tiles, coarse to fine: the map at half the size limits the disparities to search.
 
 After Rothermel, Wenzel, Fritsch and Haala, "SURE: photogrammetric surface reconstruction from imagery", 2012: the pair
-is matched at the smallest size first. What was found there says which disparities a tile of the next size searches and
-which of them are likely, and it is the value of pixels that the two views do not agree on. Single rows matched over the
-whole range keep what is too thin for the smaller sizes.
+is matched at the smallest size first. The result determines which disparities a tile of the next size searches, and
+which of them are likely. It also fills pixels on which the two views do not agree. Single rows matched over the whole
+range keep structures that are too thin for the smaller sizes.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from depthcli.methods.stereo.tiling.tile_by_tile import Prior, match_by_costs, m
 from depthcli.methods.stereo.volume import StereoResult
 
 _Values = NDArray[np.float32]
-# Set by hand so that the maps of large pairs are near those of whole pairs (docs/figures.md, large images).
+# Set by hand so that the maps of large pairs are near the maps of whole pairs (docs/figures.md, large images).
 _MIN_DISPARITIES = 256  # smaller ranges are searched whole
 _MIN_SIDE = 128  # pixels; smaller images are not halved
-_ISLAND_SIZE = 20  # pixels that must belong together to be a candidate at half the size
-_CANDIDATE_MARGIN = 6  # candidates beside what was found at half the size, pixels of that size
-_LIKELY_MARGIN = 4  # the likely ones of them, pixels of the full size
-_UNSURE_SHARE = 0.25  # of the pixels of a block without agreement; above it, what is around is a candidate, too
-_ROW_STEP, _ROW_WINDOW, _ROW_CELLS = 4, (7, 7), 1 << 25  # rows matched by themselves, their census, cells at a time
-_ROW_ISLAND_SIZE = 10  # pixels of these rows that must belong together
-_FAR_AWAY = np.float32(1e6)  # pixels, beyond every range: stands for no thin structure
+_ISLAND_SIZE = 20  # pixels that must be connected to be a candidate at half the size
+_CANDIDATE_MARGIN = 6  # candidates around the disparities found at half the size, pixels of that size
+_LIKELY_MARGIN = 4  # likely disparities around them, pixels of the full size
+_UNSURE_SHARE = 0.25  # of a block's pixels without agreement; above it, surrounding disparities are candidates, too
+_ROW_STEP, _ROW_WINDOW, _ROW_CELLS = 4, (7, 7), 1 << 25  # rows matched by themselves; their census; cells at a time
+_ROW_ISLAND_SIZE = 10  # pixels of these rows that must be connected
+_FAR_AWAY = np.float32(1e6)  # pixels, beyond every range: no thin structure
 
 
-# The stages at the smaller sizes for methods without cost stages: fast, and only what both views agree on is kept.
+# The stages at the smaller sizes for methods without cost stages: fast, and only values that both views agree on stay.
 _COARSE_STAGES = CostStages(
     cost=Census(window=(7, 7)),
     optimization=Scanline(p1=25, p2=120, edge_threshold=15, edge_divisor=6),
@@ -55,11 +55,11 @@ def match_in_tiles(
 ) -> StereoResult:
     """Match a pair over disparities 0 .. ``max_disparity`` inclusive, in a process that takes at most ``memory`` bytes.
 
-    Methods with ``tile_stages`` compute costs tile by tile; the right view's map, and every step that looks at maps
-    alone, is that of the whole image. Any other method matches every tile for itself, over one range from its smallest
-    to its largest candidate, without pictures and tables. ``figures`` has ``tiles``, their number, ``levels``, the
-    number of sizes that were matched, and ``exact``: 1 where the map is that of the whole pair. InputError where
-    nothing fits.
+    Methods with ``tile_stages`` compute costs tile by tile; the right view's map, and the steps that need only maps,
+    cover the whole image. Any other method matches every tile separately, over one range from its smallest to its
+    largest candidate, without pictures and tables. ``figures`` has ``tiles``, their number, ``levels``, the number of
+    sizes that were matched, and ``exact``, which is 1 if the map is the same as the whole pair's. InputError if nothing
+    fits.
     """
     clock = Clock()
     prepared, matcher = matcher.prepared(pair, max_disparity, context, clock)
@@ -82,7 +82,7 @@ def coarse_prior(
 ) -> Prior | None:
     """Match ``pair`` at half its size, itself coarse to fine, and return the disparities that are likely at full size.
 
-    None where the range is narrow enough, or the image small enough, to be searched whole.
+    Return None if the range is narrow enough, or the image small enough, to be searched whole.
     """
     if max_disparity + 1 < _MIN_DISPARITIES or min(pair.shape) < _MIN_SIDE:
         return None
@@ -104,9 +104,9 @@ def _candidates(
 ) -> Candidates:
     """Return which disparities blocks of an image of (H, W) ``shape`` may have, from its map at half the size.
 
-    Thin structures may have been removed as speckles at half the size, filled over, or too thin to be matched: the
-    ``islands`` that both views agree on and the rows of :func:`thin_structures` stay candidates. Where the views did
-    not agree, every disparity around may be there.
+    At half the size, thin structures may be removed as speckles, filled over, or too thin to match. So the ``islands``
+    that both views agree on, and the rows of :func:`thin_structures`, stay candidates. If many pixels of a block have
+    no agreement, all disparities around are candidates.
     """
     side = BLOCK // 2
     blocks = tuple(-(-length // BLOCK) for length in shape)
@@ -133,7 +133,7 @@ def _candidates(
 def _likely(
     half: DisparityMap, islands: _Values, thin_rows: _Values, max_disparity: int
 ) -> tuple[NDArray[np.int16], NDArray[np.int16], _Values]:
-    """Return ``low``, ``high`` and ``thin`` of a :class:`Prior`, from what was found around at half the size."""
+    """Return ``low``, ``high`` and ``thin`` of a :class:`Prior`, from the disparities around at half the size."""
     y, x = np.nonzero(~np.isnan(thin_rows))
     thin = np.full(islands.shape, np.nan, np.float32)
     thin[y * _ROW_STEP // 2, x // 2] = thin_rows[y, x] / 2
@@ -149,10 +149,10 @@ def _likely(
 
 
 def thin_structures(pair: StereoPair, max_disparity: int) -> _Values:
-    """Match every fourth row by itself over the whole range, for what is too thin for smaller images.
+    """Match every fourth row by itself over the whole range, for structures too thin for smaller images.
 
-    Returns (ceil(H / 4), W) float32: winners of the Hamming distance of 7 x 7 census that both views agree on and that
-    belong together; else NaN.
+    Return (ceil(H / 4), W) float32: winners of the Hamming distance of 7 x 7 census that both views agree on and that
+    are connected; NaN otherwise.
     """
     height, width = pair.shape
     disparity = np.full((-(-height // _ROW_STEP), width), np.nan, np.float32)
@@ -170,7 +170,7 @@ def thin_structures(pair: StereoPair, max_disparity: int) -> _Values:
         n_rows = features_left.shape[0]
         hamming_volume(features_left, features_right, costs[:n_rows])
         left, right = winners(costs[:n_rows])
-        agreed = (left_right_difference(left, right) <= 1) & (features_left != 0)  # a flat window says nothing
+        agreed = (left_right_difference(left, right) <= 1) & (features_left != 0)  # a flat window has no information
         disparity[y // _ROW_STEP :][:n_rows] = np.where(agreed, left, np.float32(np.nan))
     # Speckles are removed on int16: as many steps per pixel as fit.
     steps = max(1, min(16, 32767 // (max_disparity + 1)))

@@ -15,13 +15,13 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 
 BLOCK = 16
-"""Side of the blocks of pixels that share candidates, and unit of the tiles' sides."""
+"""Side of the blocks of pixels that share candidates, and unit of the tiles' sides, pixels."""
 BIN = 16
-"""Disparities that are candidates together: as many as kernels take at a time."""
-# Work of a tile beside its cells, set by hand: each pixel takes as long as so many disparities, each tile as so many
-# cells.
+"""Number of disparities that are candidates together, as many as kernels take at a time."""
+# Work of a tile besides its cells, set by hand: each pixel takes as long as this many disparities, each tile as long as
+# this many cells.
 _PIXEL_OVERHEAD, _TILE_OVERHEAD = 24, 300_000
-_MIN_TILE_BLOCKS = 8  # smaller tiles are only made where memory asks for them: margins would be most of the work
+_MIN_TILE_BLOCKS = 8  # smaller tiles are only made if memory requires them: margins would be most of the work
 PROCESS_BYTES = 256 << 20  # upper bound of the memory of the interpreter and the libraries
 # Bytes per pixel of the image while tiles are matched (winners of both views, keys, minima, prior), and while the map
 # is refined and written.
@@ -39,9 +39,9 @@ class Span(NamedTuple):
 class Tile:
     """A part of the left view and the disparities that are searched there."""
 
-    rows: tuple[int, int]  # first, and behind the last, of the pixels that get their values from this tile
+    rows: tuple[int, int]  # the first and the one after the last of the pixels that get their values from this tile
     columns: tuple[int, int]
-    around: tuple[int, int, int, int]  # top, bottom, left, right of these pixels and the margins
+    around: tuple[int, int, int, int]  # top, bottom, left, right of these pixels with the margins
     spans: tuple[Span, ...]  # disparities that are searched, ascending, with gaps between
 
     @property
@@ -67,9 +67,9 @@ class Tile:
         return slice(*self.rows), slice(*self.columns)
 
     def cut(self, pair: StereoPair, low: int = 0) -> StereoPair:
-        """Return the tile, margins included, as a pair of its own whose disparities are smaller by ``low``."""
+        """Return the tile, margins included, as a pair whose disparities are smaller by ``low``."""
         top, bottom, left, right = self.around
-        before = max(0, low - left)  # columns that the right image does not have
+        before = max(0, low - left)  # columns outside the right image
         other = pair.right[top:bottom, left - low + before : right - low]
         if before:
             other = cast(Image, cv2.copyMakeBorder(other, 0, 0, before, 0, cv2.BORDER_REPLICATE))
@@ -81,15 +81,15 @@ class Margins(NamedTuple):
     """The margins of a tile, pixels."""
 
     halo: int  # on all sides
-    lead: int  # on the left, beyond those of the longest span, whose cells lie outside the tile's right image
-    whole: bool  # tiles are pairs of their own: over one span, the right side as wide as the left one
+    lead: int  # on the left, beyond the longest span, whose cells are outside the tile's right image
+    whole: bool  # tiles are matched as pairs: over one span, with a margin for it on the right side, too
 
 
 @dataclass(frozen=True)
 class Candidates:
     """Disparities that may occur in blocks of 16 x 16 pixels of an image of (H, W) ``shape``.
 
-    ``bins`` (ceil(H / 16), ceil(W / 16), ceil(D / 16)) says whether a block may have any of 16 consecutive disparities.
+    ``bins`` (ceil(H / 16), ceil(W / 16), ceil(D / 16)) is True if a block may have any of 16 consecutive disparities.
     """
 
     bins: NDArray[np.bool_]
@@ -98,7 +98,7 @@ class Candidates:
 
     @classmethod
     def everywhere(cls, shape: tuple[int, int], max_disparity: int) -> Candidates:
-        """Return 0 .. ``max_disparity`` for all blocks."""
+        """Return candidates 0 .. ``max_disparity`` for all blocks."""
         blocks = (-(-side // BLOCK) for side in shape)
         return cls(np.ones((*blocks, max_disparity // BIN + 1), np.bool_), shape, max_disparity)
 
@@ -109,10 +109,10 @@ class Candidates:
         return sums
 
     def tiles(self, margins: Margins, fits: Callable[[Tile], bool]) -> list[Tile] | None:
-        """Return the tiles that together take the shortest time; None where not even the smallest fit.
+        """Return the tiles that together take the shortest time; None if not even the smallest fit.
 
-        The image is halved again and again, along the side that pays off, as long as parts with candidates of their
-        own are cheaper, margins included, than the whole.
+        The image is halved again and again, along the better side, as long as two parts with their own candidates are
+        cheaper than the whole, margins included.
         """
         rows, columns = self.bins.shape[:2]
 
@@ -147,7 +147,7 @@ class Candidates:
         u0, u1 = max(0, x0 - reach), min(self.bins.shape[1], x1 + reach)
         sums = self._sums
         there = sums[v1, u1] - sums[v0, u1] - sums[v1, u0] + sums[v0, u0] > 0
-        # Runs of bins. The last pixel has no candidate beyond the image's left side; the first pixel has one.
+        # Runs of bins. Candidates are cut off beyond the last pixel's column; the first pixel needs one up to its own.
         there = there[: min(self.max_disparity, columns[1] - 1) // BIN + 1].copy()
         if not there.any() or there.argmax() * BIN > columns[0]:
             there[columns[0] // BIN] = True
@@ -170,13 +170,13 @@ class Candidates:
 
 
 class Memory(NamedTuple):
-    """The bytes that a process may take (``allowed``), and those that other things than tiles take (``held``)."""
+    """The bytes that a process may take (``allowed``), and the bytes that other things than tiles take (``held``)."""
 
     allowed: int
     held: int
 
     def beside(self, pair: StereoPair) -> Memory:
-        """Return the same memory with the images of ``pair`` counted as held, too."""
+        """Return the same memory with the images of ``pair`` added to ``held``."""
         return Memory(self.allowed, self.held + pair.left.nbytes + pair.right.nbytes)
 
     def tiles(
@@ -184,13 +184,13 @@ class Memory(NamedTuple):
     ) -> list[tuple[Tile, int]]:
         """Return tiles of ``pair`` that fit, in order, and how many free bytes the pool of arrays may have before each.
 
-        A tile takes ``need`` bytes. InputError where not even the smallest fit.
+        A tile takes ``need`` bytes. InputError if not even the smallest fit.
         """
         held = self.beside(pair).held
         pixels = pair.shape[0] * pair.shape[1]
         free = self.allowed - held - _MATCHING_BYTES * pixels
 
-        def left(tile: Tile) -> int:  # with the pool's blocks that only the next tile can use
+        def left(tile: Tile) -> int:  # minus the pool's blocks that only the next tile can use
             return free - need(tile) - 2 * tile.shape[0] * tile.shape[1] * tile.n_disparities
 
         tiles = candidates.tiles(margins, lambda tile: left(tile) >= 0)

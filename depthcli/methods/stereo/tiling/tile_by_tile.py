@@ -1,4 +1,4 @@
-"""A pair matched tile by tile: over the costs of its tiles, or every tile as a pair of its own."""
+"""A pair matched tile by tile: from the costs of its tiles, or with every tile as a pair of its own."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from depthcli.methods.stereo.stages import CostStages, PairMatcher
 from depthcli.methods.stereo.tiling.plan import Candidates, Margins, Memory, Tile
 from depthcli.methods.stereo.volume import CostMinima, CostVolume, FixedPoint, RefinementContext, StereoResult
 
-_PATH_HALO = 32  # pixels after which the paths of a scanline that begins anew are what they would have been
-_UNLIKELY_COST = 0.2  # what unlikely disparities cost more, in units of a scanline's penalty of a step
-_BAND_PIXELS = 1 << 20  # pixels that are refined at a time
+_PATH_HALO = 32  # pixels after which the paths of a scanline no longer depend on where they begin
+_UNLIKELY_COST = 0.2  # added cost of unlikely disparities, in units of a scanline's penalty of a step
+_BAND_PIXELS = 1 << 20  # pixels refined at a time
 _FLOAT_BARRIER = 1e4  # cost between the spans of a float volume: no path goes through it
 _PIXEL_BYTES = 40  # of a row of a tile: features of the images, states of the paths
 
@@ -36,12 +36,12 @@ class Prior:
 
     values: NDArray[np.float32]
     candidates: Candidates  # of the pair itself
-    low: NDArray[np.int16]  # of the shape of ``values``, the likely disparities at the full size
+    low: NDArray[np.int16]  # of the shape of ``values``: the likely disparities at the full size
     high: NDArray[np.int16]
-    # (2, ...): smallest and largest disparity of the thin structures around at the full size; where there are none,
-    # the smallest is larger than any disparity.
+    # (2, ...): smallest and largest disparity, at the full size, of the thin structures around; if there are none, the
+    # smallest is larger than any disparity.
     thin: NDArray[np.float32]
-    levels: int  # number of sizes matched, that of the pair counted
+    levels: int  # number of sizes matched, including the pair's own
 
 
 class TiledWinners:
@@ -49,20 +49,20 @@ class TiledWinners:
 
     Attributes
     ----------
-    left : (H, W) uint16, the left view's winners; 0 where a tile has no disparity inside the right image
+    left : (H, W) uint16, the left view's winners; 0 if a tile has no disparity inside the right image
     minima : (H, W) float32, minima of the parabolas through each winner's cost and its two neighbors; or (0, 0)
     """
 
     def __init__(self, shape: tuple[int, int], minima: bool) -> None:
         self.left: NDArray[np.uint16] = np.zeros(shape, np.uint16)
         self.minima: NDArray[np.float32] = np.zeros(shape if minima else (0, 0), np.float32)
-        # Smallest costs of the right view so far, columns mirrored: cost and disparity in one key, or apart.
+        # Smallest costs of the right view so far, columns mirrored: cost and disparity in one key; floats apart.
         self._keys: NDArray[np.uint32] = np.full(shape, 0xFFFFFFFF, np.uint32)
         self._min_costs: NDArray[np.float32] = np.zeros((0, 0), np.float32)
         self._right: NDArray[np.uint16] | None = None
 
     def add(self, costs: NDArray[Any], spans: NDArray[np.int64], tile: Tile) -> None:
-        """Take the (h, w, K) costs of a tile into account, of one dtype and scale for all tiles.
+        """Add the (h, w, K) costs of a tile, of one dtype and scale for all tiles.
 
         ``spans`` (n, 3) has the first cell, number of cells and first disparity of runs of disparities, ascending.
         """
@@ -79,7 +79,7 @@ class TiledWinners:
             run_bands(_add_minima, n_rows, costs, spans, corner, bounds, self.left, self.minima)
 
     def right(self) -> NDArray[np.uint16]:
-        """Return the (H, W) uint16 winners of the right view, and free memory: no tile can be added afterwards."""
+        """Return the (H, W) uint16 winners of the right view, and free memory; no tile can be added afterwards."""
         if self._right is None:
             self._right = (self._keys[:, ::-1] & np.uint32(0xFFFF)).astype(np.uint16)
             self._keys, self._min_costs = np.zeros((0, 0), np.uint32), np.zeros((0, 0), np.float32)
@@ -94,10 +94,10 @@ def match_by_costs(
     available: Memory,
     clock: Clock,
 ) -> tuple[StereoResult, TiledWinners]:
-    """Compute costs and winners tile by tile, then refine the whole map; without a ``prior`` over the whole range."""
+    """Compute costs and winners tile by tile, then refine the whole map; without a ``prior``, over the whole range."""
     clock.start("plan")
     halo = stages.halo()
-    path_halo = _PATH_HALO if prior is None else _PATH_HALO // 2  # likely disparities hold paths that begin anew
+    path_halo = _PATH_HALO if prior is None else _PATH_HALO // 2  # likely disparities guide paths that begin anew
     margins = Margins(path_halo, path_halo // 2, False) if halo is None else Margins(halo, halo, False)
 
     def need(tile: Tile) -> int:
@@ -163,7 +163,7 @@ def match_by_patches(
 def _tile_volume(
     stages: CostStages, pair: StereoPair, tile: Tile, prior: Prior | None, clock: Clock
 ) -> tuple[CostVolume, NDArray[np.int64]]:
-    # Costs of all spans, one behind the other, with a cell between that no path goes through; and the table of spans.
+    # Costs of all spans, one after the other, with a cell between that no path passes; and the table of spans.
     spans = np.zeros((len(tile.spans), 3), np.int64)
     joined: CostVolume | None = None
     start = 0
@@ -171,7 +171,7 @@ def _tile_volume(
         spans[k] = start, span.n, span.low
         volume = stages.volume(tile.cut(pair, span.low), span.n - 1, clock)
         clock.start("cost")
-        n_outside = max(0, span.low - tile.around[2])  # columns whose matches all lie outside the right image
+        n_outside = max(0, span.low - tile.around[2])  # columns whose matches are all outside the right image
         if joined is None and len(tile.spans) == 1 and n_outside == 0:
             joined = volume
             break
@@ -197,7 +197,7 @@ def _largest_cost(volume: CostVolume) -> float:
 
 @jit
 def _copy_span(begin, end, costs, joined, start, n_outside, barrier):
-    # What the right image does not have costs what the measure says: the cell of pixel 0 at any disparity but 0.
+    # Outside the right image, cells get the measure's cost for it, read from pixel 0 at a disparity above 0.
     _, width, count = costs.shape
     outside = costs[0, 0, count - 1]
     for y in range(begin, end):
@@ -214,7 +214,7 @@ def _copy_span(begin, end, costs, joined, start, n_outside, barrier):
 
 @jit
 def _add_penalty(begin, end, costs, spans, low, high, corner, penalty, largest):
-    # To disparities beyond the likely ones of the pixel at half the size.
+    # Add the penalty to disparities beyond the likely ones of the pixel at half the size.
     width = costs.shape[1]
     kind = costs.dtype.type
     for v in range(begin, end):
@@ -233,12 +233,12 @@ def _add_penalty(begin, end, costs, spans, low, high, corner, penalty, largest):
 def refined_map(
     steps: Sequence[Refinement], found: TiledWinners, pair: StereoPair, max_disparity: int, prior: Prior | None = None
 ) -> DisparityMap:
-    """Return the map of all winners after all ``steps``; before the first that fills, the prior fills empty pixels."""
+    """Return the map of all winners after all ``steps``; the prior fills empty pixels before the first filling step."""
     height, width = pair.shape
     right = found.right()
 
     def applied(step: Refinement, disparity: DisparityMap) -> DisparityMap:
-        # To one band of rows at a time, where the step looks no farther.
+        # One band of rows at a time, unless the step depends on the whole map.
         halo = step.halo()
         band = height if halo is None else max(4 * halo, _BAND_PIXELS // width, 1)
         values, status = np.empty_like(disparity.values), np.empty_like(disparity.status)
@@ -264,7 +264,7 @@ def refined_map(
         before, disparity = disparity, applied(step, disparity)
         if k < first_fill and prior is not None and isinstance(step, SpeckleFilter):
             # Speckles are the same parts of the scene at every size, so they have more pixels here than at the
-            # smallest one. Thin structures stay; what is removed has the value of the smaller image afterwards.
+            # smallest size. Thin structures stay. Removed pixels get the value of the smaller image afterwards.
             mild, size = disparity, step.size * 4 ** (prior.levels - 1)
             disparity = applied(step.model_copy(update={"size": size}), before)
             v, u = np.nonzero(mild.valid & ~disparity.valid)

@@ -1,6 +1,6 @@
 """Device implementations of the aggregations; see :mod:`depthcli.methods.stereo._device_table`.
 
-Each returns the same means as the method of its name, unless its docstring says otherwise.
+Each returns the same means as the method of its name, unless its docstring states otherwise.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from depthcli.methods.stereo.volume import FixedPoint
 _WEIGHTS, _WINDOW, _CROSS = (
     Kernels(__name__, f"{name}.cl") for name in ("adaptive_weight", "constant_window", "cross")
 )
-_TILE, _LANES, _THREADS = 32, 64, 256  # pixels and disparities of a group of adaptive weights, and its threads
-_BAND = 64  # rows or columns that one thread's running sum goes along; each starts with a window's sum
+_TILE, _LANES, _THREADS = 32, 64, 256  # adaptive weights: pixels, disparities and threads of a group
+_BAND = 64  # rows or columns of a thread's running sum, which begins with the sum over a window
 
 
 def adaptive_weight(method: AdaptiveWeight, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """Return the means of :class:`AdaptiveWeight` but for rounding; a tile of pixels and disparities shares weights."""
+    """Return the means of :class:`AdaptiveWeight`, up to rounding; a tile of pixels and disparities shares weights."""
     device = volume.device
     height, width, n_disparities = volume.costs.shape
     whole = volume.costs.dtype != np.float32
@@ -67,7 +67,7 @@ def constant_window(method: ConstantWindow, volume: DeviceVolume, pair: DevicePa
 
 
 def cross(method: Cross, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """Return the means of :class:`Cross`, by orthogonal integrals."""
+    """Return the means of :class:`Cross`, by orthogonal integral images."""
     volume = volume.as_fixed_point()
     device, costs = volume.device, volume.costs
     height, width, n_disparities = costs.shape

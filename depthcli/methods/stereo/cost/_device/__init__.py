@@ -1,6 +1,6 @@
 """Device implementations of the cost measures; see :mod:`depthcli.methods.stereo._device_table`.
 
-Each returns the same costs as the measure of its name, unless its docstring says otherwise.
+Each returns the same costs as the measure of its name, unless its docstring states otherwise.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def census(method: Census, pair: DevicePair, n_disparities: int) -> DeviceVolume
 def _window_feature(
     kernel: str, pair: DevicePair, image: DeviceArray, window: tuple[int, int], dtype: type
 ) -> DeviceArray:
-    # Of the window of every pixel, by a kernel of features.cl.
+    # (H, W) features of the windows around all pixels, by a kernel of features.cl.
     height, width = pair.shape
     out = pair.device.empty((height, width), dtype)
     kernels = _FEATURES.with_macros(GREY=c_type(image.dtype))
@@ -86,7 +86,7 @@ def combined(method: Combined, pair: DevicePair, n_disparities: int) -> DeviceVo
 
 
 def gradient(method: Gradient, pair: DevicePair, n_disparities: int) -> DeviceVolume:
-    """Return the costs of :class:`Gradient` up to a sixteenth of a grey level, by derivatives in single precision."""
+    """Return the costs of :class:`Gradient` to a sixteenth of a grey level; derivatives have single precision."""
     left, right = (_derivatives(method, pair, image) for image in pair.grey)
     limit = round(method.truncation * method.SCALE)
     outside = min(limit, round(method.outside * method.SCALE))

@@ -10,11 +10,11 @@ from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 
 _SCANLINE = Kernels(__name__, "scanline.cl")
-_MEMORY_PARTS = 4  # path costs may take one such part of a GPU's memory
+_MEMORY_PARTS = 4  # path costs may take one part in so many of a GPU's memory
 
 
 def scanline(method: Scanline, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """Return the sums of path costs of :class:`Scanline`. As many directions run side by side as memory allows."""
+    """Return the sums of path costs of :class:`Scanline`. As many directions run at a time as memory allows."""
     device = volume.device
     if volume.costs.dtype == np.float32:
         volume = volume.as_fixed_point()
@@ -30,7 +30,7 @@ def scanline(method: Scanline, volume: DeviceVolume, pair: DevicePair) -> Device
         method.edge_threshold,
     )  # fmt: skip
     total = device.empty(volume.costs.shape, np.uint16)
-    room = device.info.memory // _MEMORY_PARTS if device.info.is_gpu else 0  # a processor gains nothing from it
+    room = device.info.memory // _MEMORY_PARTS if device.info.is_gpu else 0  # a CPU gains nothing from it
     at_once = max(1, min(method.paths, room // total.nbytes))
     sums = device.empty((at_once, *total.shape), np.uint16)
     for first in range(0, method.paths, at_once):
@@ -47,5 +47,5 @@ def scanline(method: Scanline, volume: DeviceVolume, pair: DevicePair) -> Device
 
 
 def winner_takes_all(method: WinnerTakesAll, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """Return the costs themselves."""
+    """Return the costs unchanged."""
     return volume

@@ -18,14 +18,14 @@ from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.volume import StereoResult
 
 _KERNELS = Kernels("depthcli.methods.stereo", "selection.cl")
-_LANES, _PIXELS = 32, 8  # threads of a group along the disparities, and pixels of a group
+_LANES, _PIXELS = 32, 8  # threads of a group along the disparities; pixels of a group
 
 
 def local(method: Local, pair: DevicePair, max_disparity: int, context: Context | None = None) -> StereoResult:
-    """Match a pair over disparities 0 .. ``max_disparity`` inclusive; InputError where device memory is short.
+    """Match a pair over disparities 0 .. ``max_disparity`` inclusive; InputError if device memory is short.
 
-    Stages without a device implementation run on the processor, with transfers; ``figures["stages_on_cpu"]`` counts
-    them. The pair is adjusted and confidence measured on the processor.
+    Stages without a device implementation run on the CPU, with transfers; ``figures["stages_on_cpu"]`` counts them. The
+    pair is adjusted, and confidence is measured, on the CPU.
     """
     device, info, clock = pair.device, pair.device.info, Clock()
     need = _device_bytes(method, pair.shape, max_disparity)
@@ -63,7 +63,7 @@ def local(method: Local, pair: DevicePair, max_disparity: int, context: Context 
 
 
 def _device_bytes(method: Local, shape: tuple[int, int], max_disparity: int) -> int:
-    # Of the volumes, where scanlines run one after another, and of the maps.
+    # Bytes of the volumes, with one direction of scanlines at a time, and of the maps.
     intersects = getattr(method.aggregation, "support", "") == "intersection"
     bytes_per_cell = 18 if intersects else 10 if method.aggregation is not None else 7
     return shape[0] * shape[1] * ((max_disparity + 1) * bytes_per_cell + 100)

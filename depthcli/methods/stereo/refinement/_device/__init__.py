@@ -35,7 +35,7 @@ def background_fill(method: BackgroundFill, disparity: DeviceMap, context: Devic
 
 
 def directional_fill(method: DirectionalFill, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
-    """Return the map of :class:`DirectionalFill`; costs that differ by rounding may decide otherwise."""
+    """Return the map of :class:`DirectionalFill`; rounding of costs may change a decision."""
     image = disparity.device.upload(method.smoothed(context.pair.host))
     return disparity.refined(_FILLS, "replace_fills", [image, context.right], *map(float, method.rates()))
 
@@ -100,7 +100,7 @@ def speckle_filter(method: SpeckleFilter, disparity: DeviceMap, context: DeviceC
 
 
 def subpixel(method: Subpixel, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
-    """Return the map of :class:`Subpixel`; to a millionth of a pixel where the device has no double precision."""
+    """Return the map of :class:`Subpixel`, to a millionth of a pixel if the device has no double precision."""
     height, width, n_disparities = context.volume.costs.shape
     values = disparity.device.empty((height, width), np.float32)
     disparity.device.launch(
@@ -111,7 +111,7 @@ def subpixel(method: Subpixel, disparity: DeviceMap, context: DeviceContext) -> 
 
 
 def surface_fill(method: SurfaceFill, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
-    """Return the map of :class:`SurfaceFill`, up to rounding where the device has no double precision."""
+    """Return the map of :class:`SurfaceFill`, up to rounding if the device has no double precision."""
     height, width = disparity.values.shape
     real = np.float64 if disparity.device.has_double else np.float32
     planes = disparity.device.empty((height, width, 4), real)
@@ -125,7 +125,7 @@ def surface_fill(method: SurfaceFill, disparity: DeviceMap, context: DeviceConte
 def weighted_median(method: WeightedMedian, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
     """Return the map of :class:`WeightedMedian`.
 
-    A value may be off by a bin of 1/8 pixel where sums in another order reach half of the weights in another bin.
+    A value may be off by a bin of 1/8 pixel if sums in another order reach half of the weights in another bin.
     """
     device = disparity.device
     height, width = disparity.values.shape
