@@ -1,4 +1,4 @@
-"""Cameras and rigs from photos of a board (Zhang's method, by OpenCV): corners, lenses and places, without outliers."""
+"""Calibration of cameras and rigs from photos of a board, without outliers (Zhang's method, by OpenCV)."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from depthcli.core.cameras.camera import Camera, Intrinsics
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
 
-MIN_CORNERS = 6  # fewest corners of a photo that count; four fit any camera
-MIN_PHOTOS = 3  # fewest photos that a camera is found from
-MIN_TILT = 15.0  # degrees between the board in two photos below which the focal length is not determined
-OUTLIER_PX = 0.3  # errors up to this are those of good photos, however small those of the others are
-MAX_ERROR_RATIO = 3.0  # of a rig's errors to those of its cameras alone, and to 0.3 px; above, it does not fit
-SIMILAR_ERROR_RATIO = 2.0  # to those of its cameras alone; above, it is doubtful, and has to be like them
+MIN_CORNERS = 6  # smallest number of corners in a photo; four fit any camera
+MIN_PHOTOS = 3  # smallest number of photos of a camera
+MIN_TILT = 15.0  # degrees; with a smaller tilt between any two photos, the focal length is not determined
+OUTLIER_PX = 0.3  # a photo with an error up to this is no outlier, however small the other errors are
+MAX_ERROR_RATIO = 3.0  # error of the rig / error of its cameras alone (or 0.3 px); above, the rig does not fit
+SIMILAR_ERROR_RATIO = 2.0  # error of the rig / error of its cameras alone; above, its lengths must hardly change
 
-_WINDOW = 0.25  # of the spacing of corners: half the window in which a corner's edges are fitted
-_BLUR = (0.4, 0.2)  # standard deviation, pixels, alone and for each of half the window: fewer steps along edges
-_AGREEMENT = 0.15  # pixels
-_MIN_WINDOW, _MAX_WINDOW = 3, 25  # pixels; smaller ones have too few
+_WINDOW = 0.25  # half the window in which a corner's edges are fitted, share of the spacing of corners
+_BLUR = (0.4, 0.2)  # standard deviation, pixels: constant, and per pixel of half the window; smooths stairs along edges
+_AGREEMENT = 0.15  # largest difference between the corners of two windows, pixels
+_MIN_WINDOW, _MAX_WINDOW = 3, 25  # half of windows, pixels; smaller windows have too few pixels
 _REFINEMENT = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
 _FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _OUTLIER_DEVIATIONS = 3.0
-_MAX_CHANGE = 1.05  # of focal lengths and baseline of a doubtful rig, against those by the cameras alone; a factor
-_MAX_UNCERTAINTY = 0.05  # standard deviation of the focal length over itself; with more a camera is not determined
-_MIN_NOISE = 0.05  # pixels, of corners; fits to few photos have smaller residuals
-_MIN_MOVE = 0.005  # of the image's width: a view in which corners moved less than that is the same view
-_STEP, _MIN_CONDITION = 1e-5, 1e-10  # of derivatives, relative; of the equations, beyond which they are singular
-_DEVIATION = 1.4826  # median absolute deviations to standard deviations
+_MAX_CHANGE = 1.05  # largest factor between focal lengths and baselines with refined and with the cameras' own lenses
+_MAX_UNCERTAINTY = 0.05  # largest relative standard deviation of the focal length of a determined camera
+_MIN_NOISE = 0.05  # floor of the corners' noise, pixels: fits to few photos have smaller residuals
+_MIN_MOVE = 0.005  # share of the image's width; views whose corners differ by less are the same view
+_STEP, _MIN_CONDITION = 1e-5, 1e-10  # relative step of derivatives; smallest condition of solvable equations
+_DEVIATION = 1.4826  # standard deviation / median absolute deviation
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-9)
-_cv2: Any = cv2  # its stubs know the lists neither of cv2 nor of cv2.fisheye
+_cv2: Any = cv2  # its stubs lack the lists of cv2 and cv2.fisheye
 _FISHEYE_FLAGS: Any = cv2 if hasattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC") else cv2.fisheye  # OpenCV 5 and 4
 _FISHEYE = _FISHEYE_FLAGS.CALIB_RECOMPUTE_EXTRINSIC | _FISHEYE_FLAGS.CALIB_FIX_SKEW
 _NOT_FOUND = "the photos do not determine the camera; take some with the board tilted"
@@ -47,9 +47,9 @@ _NOT_FOUND = "the photos do not determine the camera; take some with the board t
 
 @dataclass(frozen=True)
 class Corners:
-    """The corners of a board that an image shows."""
+    """The corners of a board in an image."""
 
-    ids: NDArray[np.int64]  # (N,) int, which corners of the board, row by row, ascending
+    ids: NDArray[np.int64]  # (N,) int, indices of the corners on the board, row by row, ascending
     pixels: NDArray[np.float64]  # (N, 2) float64, x and y
 
     def __len__(self) -> int:
@@ -77,17 +77,17 @@ class Board(ABC):
 
     @abstractmethod
     def find(self, grey: NDArray[np.uint8]) -> Corners | None:
-        """Return the corners in an (H, W) image; None where the board is not found."""
+        """Return the corners in an (H, W) image; None if the board is not found."""
 
     def alike(self, left: Corners, right: Corners) -> Corners:
-        """Return the right view's corners, numbered as those of the left view."""
+        """Return the right view's corners, numbered like the left view's corners."""
         return right
 
     def _refined(
         self, grey: NDArray[np.uint8], corners: Corners, share: float
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        # The corners where edges in a window meet, and which of them another window agrees with. Half the window is
-        # ``share`` of the smallest spacing of corners.
+        # Return the corners refined in a window, and whether a smaller window agrees. Half the window is ``share`` of
+        # the smallest spacing of corners.
         places = np.full((self.rows * self.columns, 2), np.nan)
         places[corners.ids] = corners.pixels
         grid = places.reshape(self.rows, self.columns, 2)
@@ -105,11 +105,11 @@ class Board(ABC):
 
 
 class Chessboard(Board):
-    """A plain chessboard: found as a whole or not at all.
+    """A plain chessboard, which is found as a whole or not at all.
 
-    With an even and an odd number of corners, the dark square at the first corner tells which way up the board is.
-    Other boards look the same upside down: their first corner is the one at the upper left of the image, and that of a
-    second view is chosen so that the board is turned least against the first view.
+    If one of the numbers of rows and columns is even and the other odd, the dark square at the first corner determines
+    the orientation. Other boards look the same upside down: their first corner is the corner at the upper left of the
+    image. In a second view, the first corner is chosen so that the board's rotation against the first view is smallest.
     """
 
     @property
@@ -126,7 +126,7 @@ class Chessboard(Board):
         refined, _ = self._refined(grey, Corners(ids, np.asarray(pixels, np.float64).reshape(-1, 2)), _WINDOW)
         grid = refined.reshape(self.rows, self.columns, 2)
         (ax, ay), (bx, by) = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
-        if ax * by - ay * bx < 0:  # seen from behind; boards are printed on one side
+        if ax * by - ay * bx < 0:  # mirrored order; boards are printed on one side
             grid = grid[::-1]
         if (self.columns + self.rows) % 2:  # the square between the first four corners is dark
             centers = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
@@ -139,14 +139,14 @@ class Chessboard(Board):
         return Corners(ids, grid.reshape(-1, 2))
 
     def alike(self, left: Corners, right: Corners) -> Corners:
-        """Return the right view's corners in the order in which the board is turned least against the left view."""
+        """Return the right view's corners in the order with the smallest rotation against the left view."""
         if (self.columns + self.rows) % 2:
             return right
         wanted, grid = (each.pixels.reshape(self.rows, self.columns, 2) for each in (left, right))
         return Corners(right.ids, self._turned(grid, _direction(wanted)).reshape(-1, 2))
 
     def _turned(self, grid: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
-        # The grid of corners, turned so that its rows run along ``axis``.
+        # Return the grid of corners, turned so that its rows are closest to the direction ``axis``.
         turns = range(0, 4, 1 if self.columns == self.rows else 2)
         return max((np.rot90(grid, k) for k in turns), key=lambda each: float(_direction(each) @ axis))
 
@@ -158,7 +158,7 @@ def _direction(grid: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class CharucoBoard(Board):
-    """A chessboard with a marker in every light square, of which any part may be seen."""
+    """A chessboard with a marker in every light square; any part of it may be visible."""
 
     marker: float  # edge of a marker, meters
     dictionary: str  # name of OpenCV's dictionary of markers, without ``DICT_``
@@ -176,9 +176,9 @@ class CharucoBoard(Board):
         numbers = np.asarray(ids, np.int64).ravel()
         order = np.argsort(numbers, kind="stable")
         found = Corners(numbers[order], np.asarray(pixels, np.float64).reshape(-1, 2)[order])
-        # Up to the next marker, whose corner is farther away than its edges are.
+        # The window extends up to the nearest markers' edges; their corners are farther away.
         refined, sure = self._refined(grey, found, (self.square - self.marker) / 2 / self.square)
-        numbers = found.ids[sure]  # in a doubtful window is a part of a marker
+        numbers = found.ids[sure]  # a doubtful window contains a part of a marker
         n_lines = min(len(np.unique(numbers // self.columns)), len(np.unique(numbers % self.columns)))
         if len(numbers) < MIN_CORNERS or n_lines < 2:  # one line does not determine the plane
             return None
@@ -186,7 +186,7 @@ class CharucoBoard(Board):
 
 
 def dictionaries() -> dict[str, int]:
-    """Return the names of OpenCV's dictionaries of markers, without ``DICT_``, and how many markers each has."""
+    """Return the names of OpenCV's dictionaries of markers, without ``DICT_``, and the number of markers in each."""
     names = sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_") and name.upper() == name)
     return {name[5:]: len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList) for name in names}
 
@@ -197,18 +197,18 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class CameraFit:
-    """A camera, and how well the photos agree with it."""
+    """A camera, and the errors of the photos."""
 
     camera: Camera  # the result
-    # standard deviations of fx and fy, pixels; None for fisheye lenses, and where the tilt is below ``MIN_TILT``: then
-    # the equations are nearly singular, and their own deviations are too small
+    # standard deviations of fx and fy, pixels; None for fisheye lenses, and if the tilt is below ``MIN_TILT``: then the
+    # equations are nearly singular, and the deviations from them are too small
     focal_deviations: tuple[float, float] | None
-    # name of a photo -> root mean square of its reprojection errors, pixels; outliers are not among them
+    # name of a photo -> root mean square of its reprojection errors, pixels; without outliers
     errors: dict[str, float]
     residuals: dict[str, NDArray[np.float64]]  # name -> (N, 2), pixels
     tilt: float  # largest angle between the board in two photos, degrees
-    outliers: dict[str, float]  # name -> error, of the photos that were left out
-    # standard deviation of the focal length over itself, by the condition of all equations; infinite: undetermined
+    outliers: dict[str, float]  # name of a photo that was left out -> error
+    # relative standard deviation of the focal length, from the condition of all equations; infinite: undetermined
     focal_uncertainty: float = 0.0
 
     @property
@@ -219,12 +219,12 @@ class CameraFit:
 
 @dataclass(frozen=True)
 class RigFit:
-    """Two cameras, and how well the pairs agree with them."""
+    """Two cameras, and the errors of the pairs."""
 
     rig: Rig  # the result
-    # name of a pair -> the larger reprojection error of its views with one place of the board for both, pixels
+    # name of a pair -> the larger reprojection error of its views, with one pose of the board for both, pixels
     errors: dict[str, float]
-    outliers: dict[str, float]  # name -> error, of the pairs that were left out
+    outliers: dict[str, float]  # name of a pair that was left out -> error
 
     @property
     def error(self) -> float:
@@ -233,21 +233,21 @@ class RigFit:
 
 
 def fit_camera(board: Board, photos: dict[str, Corners], size: Size, fisheye: bool) -> CameraFit:
-    """Return the camera that took the photos of ``size`` (width, height), without those whose error is an outlier.
+    """Return the camera that took the photos of ``size`` (width, height), fitted without outliers.
 
-    A photo is one if its error is above 0.3 pixels, and above the median of all by 3 standard deviations, which are
-    estimated from the median of absolute deviations. The worst one is left out and the camera found anew, until there
-    is none or half of the photos are left. InputError: fewer than three photos, or they do not determine the camera.
+    A photo is an outlier if its error exceeds 0.3 pixels and the median error by 3 standard deviations, estimated from
+    the median absolute deviation. The worst outlier is left out and the camera fitted again, until there is no outlier
+    or half of the photos are left. InputError: fewer than three distinct photos, or they do not determine the camera.
     """
     _check_distinct(photos.values(), size, "photos")
-    with single_thread():  # OpenCV's solvers sum over threads as those come
+    with single_thread():  # OpenCV's solvers sum over threads in varying order
         fit = _without_outliers(photos, lambda used: _fit_camera(board, used, size, fisheye))
     _check_determined(fit, "photos")
     return fit
 
 
 def _check_distinct(views: Iterable[Corners], size: Size, what: str) -> None:
-    """Raise InputError if the views show a board at fewer than three places, such as copies of one photo."""
+    """Raise InputError if the views show the board in fewer than three poses, e.g. in copies of one photo."""
     views, distinct = list(views), list[Corners]()
     for view in views:
         if all(_is_another(view, other, size[0]) for other in distinct):
@@ -269,7 +269,7 @@ def _check_determined(fit: CameraFit, what: str) -> None:
 
 
 def _is_another(one: Corners, other: Corners, width: int) -> bool:
-    """Return whether two views show the board at different places, by the corners that both show."""
+    """Return whether two views show the board in different poses, judged by their common corners."""
     ids = np.intersect1d(one.ids, other.ids)
     if len(ids) < MIN_CORNERS:
         return True
@@ -278,13 +278,14 @@ def _is_another(one: Corners, other: Corners, width: int) -> bool:
 
 
 def fit_rig(board: Board, pairs: dict[str, tuple[Corners, Corners]], alone: tuple[CameraFit, CameraFit]) -> RigFit:
-    """Return the rig of two cameras, whose lenses are refined by the pairs, without those that are outliers.
+    """Return the rig of two cameras, with lenses refined by the pairs, fitted without outliers.
 
-    ``alone`` are the cameras by their own photos. Outliers are found with these lenses, by the rule of
+    ``alone`` are the cameras fitted to their own photos. With their lenses, outliers are removed by the rule of
     :func:`fit_camera`: pairs of photos that do not belong together, or between which the board was moved. InputError:
-    fewer than three pairs, they do not determine the rig, or the refined one does not fit them: its error is above 3
-    times that of the cameras alone (and 0.3 pixels); or above twice that, while focal lengths or baseline differ by
-    more than 5 % from those with the lenses of the cameras alone.
+    there are fewer than three distinct pairs, they do not determine the rig, or the refined rig does not fit them. It
+    does not fit if its error exceeds 3 times the error of the cameras alone (or 0.9 pixels, if larger). It also does
+    not fit if its error exceeds twice the error of the cameras alone, and refinement changed a focal length or the
+    baseline by more than 5 %.
     """
     usable = {}
     for name, pair in pairs.items():
@@ -299,7 +300,7 @@ def fit_rig(board: Board, pairs: dict[str, tuple[Corners, Corners]], alone: tupl
     with single_thread():
         rough = _without_outliers(usable, lambda used: _fit_rig(board, used, cameras, False))
         for k, each in enumerate(alone):
-            if each.errors.keys() - rough.errors.keys():  # the pairs are fewer than the photos
+            if each.errors.keys() - rough.errors.keys():  # there are fewer pairs than photos
                 views = {name: usable[name][k] for name in rough.errors}
                 _check_determined(_fit_camera(board, views, size, cameras[k].fisheye), "pairs")
         fine = _fit_rig(board, {name: usable[name] for name in rough.errors}, cameras, True)
@@ -319,7 +320,7 @@ def fit_rig(board: Board, pairs: dict[str, tuple[Corners, Corners]], alone: tupl
 
 
 def _lengths(rig: Rig) -> NDArray[np.float64]:
-    # Focal lengths of both cameras, pixels, and the baseline, meters.
+    # Return the focal lengths of both cameras, pixels, and the baseline, meters.
     return np.array([*np.diag(rig.left.matrix)[:2], *np.diag(rig.right.matrix)[:2], rig.baseline])
 
 
@@ -377,9 +378,9 @@ def _fit_camera(board: Board, photos: dict[str, Corners], size: Size, fisheye: b
 def _focal_sensitivity(
     camera: Camera, objects: Sequence[NDArray[np.float32]], poses: Sequence[NDArray[np.float64]]
 ) -> float:
-    """Return the relative standard deviation of the focal length for corners with one of a pixel.
+    """Return the relative standard deviation of the focal length if corners have a standard deviation of one pixel.
 
-    The normal equations of all parameters decide, those of the places of the boards eliminated.
+    It comes from the normal equations of all parameters after elimination of the board's poses.
     """
     lens = np.concatenate([camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], camera.coefficients])
 
@@ -439,7 +440,7 @@ def _fit_rig(
         raise InputError("the pairs do not determine where the cameras stand") from error
     errors, zero = {}, np.zeros(3)
     for name, points, in_left, in_right in zip(pairs, objects, left, right, strict=True):
-        # The place of the board is the one that the left view shows.
+        # The pose of the board comes from the left view.
         points64 = points.astype(np.float64)
         _, turn, shift = cv2.solvePnP(points64, rig.left.rays(in_left)[:, None], np.eye(3), np.zeros(5))
         placed = points64 @ cv2.Rodrigues(turn)[0].T + shift.ravel()

@@ -1,4 +1,4 @@
-"""From the log odds that a value is right to a bound of its error, and back: one table, monotone both ways."""
+"""Error bounds, and probabilities of small errors, from log odds: one table, monotone in both arguments."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from numpy.typing import NDArray
 
 from depthcli.kernels.jit import jit, run_bands
 
-_POINTS = 4096  # of the log odds, equally far apart, between which a column is interpolated
-_LIMITS = 64  # of errors, likewise, where each value has its own
+_POINTS = 4096  # equidistant log odds between which a column is interpolated
+_LIMITS = 64  # equidistant limits of log2 errors, for a limit per value
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorTable:
-    """Quantiles of the errors of maps whose truth is known, by the log odds of a small error.
+    """Quantiles of errors of maps with ground truth, by the log odds of a small error.
 
-    ``scripts/train_bounds.py`` makes that of disparity maps, with errors in pixels, and
-    ``scripts/train_depth_bounds.py`` that of depth maps, in multiples of the noise. It is interpolated in the log odds,
-    the log odds of the level, and the logarithm of the error, so that a bound never shrinks as the level grows, nor
-    grows with the odds, and a probability never shrinks as the limit grows.
+    ``scripts/train_bounds.py`` makes the table for disparity maps, with errors in pixels;
+    ``scripts/train_depth_bounds.py`` makes the table for depth maps, with errors in multiples of the noise. The table
+    is interpolated in the log odds, the log odds of the level, and the logarithm of the error. Therefore a bound does
+    not decrease as the level grows or increase as the odds grow, and a probability does not decrease as the limit
+    grows.
     """
 
     log_odds: NDArray[np.float64]  # (R,) ascending
@@ -31,7 +32,7 @@ class ErrorTable:
     log2_errors: NDArray[np.float64]  # (R, L); columns fall, rows rise
 
     def bound(self, log_odds: NDArray[np.float32], level: float) -> NDArray[np.float32]:
-        """Return the error that a share ``level`` of the values with these log odds does not exceed."""
+        """Return the error bound with coverage ``level`` of values with these log odds."""
         at, places = _logit(level), _logit(self.levels)
         column = np.array([np.interp(at, places, row) for row in self.log2_errors])
         return self._looked_up(log_odds, np.exp2(np.interp(self._points, self.log_odds, column)))
@@ -39,7 +40,8 @@ class ErrorTable:
     def probability(self, log_odds: NDArray[np.float32], within: float | NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the share of the values with these log odds whose error is at most ``within``.
 
-        That may be a number, or one a value: then both are (H, W), and shares are also interpolated between limits.
+        ``within`` is a number, or an array with a limit per value. In the second case, both arrays are (H, W), and the
+        shares are also interpolated between limits.
         """
         if isinstance(within, float):
             return self._looked_up(log_odds, _shares_within(self, within))
@@ -60,7 +62,7 @@ class ErrorTable:
         return limits, self._shares(limits).astype(np.float32)
 
     def _shares(self, limits: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the shares of the errors up to 2 ** limit, a row a point of the log odds, a column a limit."""
+        """Return the shares of the errors up to 2 ** limit; rows are points of the log odds, columns are limits."""
         rows = np.stack([np.interp(self._points, self.log_odds, column) for column in self.log2_errors.T], axis=1)
         places = _logit(self.levels)
         inside = 1 / (1 + np.exp(-np.array([np.interp(limits, row, places) for row in rows])))
@@ -69,7 +71,7 @@ class ErrorTable:
         return np.asarray(np.where(limits < rows[:, :1], below, np.where(limits > rows[:, -1:], above, inside)))
 
     def _looked_up(self, log_odds: NDArray[np.float32], column: NDArray[np.float64]) -> NDArray[np.float32]:
-        # The column, which has a value at each of the points, at log odds of any shape.
+        # Interpolate a column, given at ``_points``, at log odds of any shape.
         found = np.empty(log_odds.shape, np.float32)
         flat = np.ascontiguousarray(log_odds, np.float32).reshape(-1)
         first, step = self._points[0], self._points[1] - self._points[0]

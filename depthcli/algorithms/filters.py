@@ -1,4 +1,4 @@
-"""Filters of images and maps that several packages share; how OpenCV's filters give the same bytes on all machines."""
+"""Filters of images and maps that several packages share, with the same bytes for any number of threads."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from depthcli.kernels.jit import jit, run_bands
 
-_BAND = 32  # rows
-_DISC_GAP = 2.0  # difference of the disparities of neighbors at a discontinuity, pixels
+_BAND = 32  # rows per task
+_DISC_GAP = 2.0  # neighbors at a discontinuity differ by more than this disparity, pixels
 
 
 CORRELATED = 7
-"""Side of the windows that :func:`correlation` compares, pixels; networks are trained with it."""
+"""Side of the windows of :func:`correlation`, pixels; networks are trained with it."""
 
 
 def local_moments(image: NDArray[np.float32], side: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -35,7 +35,7 @@ def local_range(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
 
 
 def window_means(planes: NDArray[np.float32], side: int, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-    """Return the means of square windows of (N, H, W) float32 planes, as cv2.blur does, on all threads."""
+    """Return the means of square windows of (N, H, W) float32 planes, like cv2.blur, on all threads."""
     out = np.empty(planes.shape, np.float32) if out is None else out
     run_bands(_average, planes.shape[0] * -(-planes.shape[1] // _BAND), planes, side, out)
     return out
@@ -44,10 +44,10 @@ def window_means(planes: NDArray[np.float32], side: int, out: NDArray[np.float32
 def correlation(
     image: NDArray[np.float32], moments: tuple[NDArray[np.float32], NDArray[np.float32]], others: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return the correlation of windows of ``CORRELATED`` pixels of an (H, W) image and of ``others``, (N, H, W).
+    """Return the correlation of square windows of an (H, W) image with windows of ``others``, (N, H, W).
 
-    ``moments`` are the local ones of ``image``. Variances are raised by 4 squared grey levels, so that noise does not
-    correlate.
+    Windows have a side of ``CORRELATED`` pixels. ``moments`` are the local mean and variance of ``image``. Variances
+    are raised by 4 squared grey levels, so that noise does not correlate.
     """
     mean, square, product = (window_means(each, CORRELATED) for each in (others, others * others, image * others))
     run_bands(_correlate, mean.shape[1], mean, square, product, *moments)
@@ -56,7 +56,7 @@ def correlation(
 
 @jit
 def _mirrored(at, size):
-    # As OpenCV's BORDER_REFLECT_101.
+    # Return the reflected index, like OpenCV's BORDER_REFLECT_101.
     while size > 1 and not 0 <= at < size:
         at = -at if at < 0 else 2 * (size - 1) - at
     return at if size > 1 else 0
@@ -64,14 +64,14 @@ def _mirrored(at, size):
 
 @jit
 def add(row, sums):
-    """Add to every one of the flat ``sums`` the element of ``row`` at its place; ``row`` may be longer."""
+    """Add ``row`` to the flat ``sums``, element by element; ``row`` may be longer."""
     for i in range(sums.size):
         sums[i] += row[i]
 
 
 @jit
 def _average(begin, end, planes, side, out):
-    # Sums of columns go on from row to row of a band, those of rows are made anew. Doubles, as in OpenCV.
+    # Column sums are updated from row to row of a band; row sums are computed for every row. Doubles, as in OpenCV.
     _, height, width = planes.shape
     bands, reach, share = -(-height // _BAND), side // 2, 1.0 / (side * side)
     for task in range(begin, end):
@@ -97,7 +97,7 @@ def _average(begin, end, planes, side, out):
 
 @jit
 def _correlate(begin, end, mean, square, product, other_mean, other_variance):
-    # ``product`` becomes the correlation. One operation a loop: fused ones are rounded otherwise.
+    # ``product`` becomes the correlation. One operation per loop: fused operations would round differently.
     count, _, width = mean.shape
     zero, noise = np.float32(0), np.float32(4)
     for y in range(begin, end):
@@ -122,9 +122,9 @@ def discontinuity_mask(
 ) -> NDArray[np.bool_]:
     """Return the visible pixels near a depth discontinuity, as in the ``disc`` masks of Middlebury v2.
 
-    These are the pixels of ``nonocc`` (visible in both views) whose 9 x 9 window contains an occluded pixel, or one
-    whose disparity differs by more than 2 from that of a 4-neighbor. Only ``known`` pixels that are not visible
-    count as occluded; None: all are known. Disparities are finite.
+    These are the pixels of ``nonocc`` (visible in both views) whose 9 x 9 window contains an occluded pixel, or a pixel
+    whose disparity differs by more than 2 from a 4-neighbor's disparity. Only ``known`` pixels outside ``nonocc`` count
+    as occluded; None: all pixels are known. Disparities are finite.
     """
     edge = ~nonocc if known is None else known & ~nonocc
     jump_x, jump_y = np.abs(np.diff(disparity, axis=1)) > _DISC_GAP, np.abs(np.diff(disparity, axis=0)) > _DISC_GAP
@@ -137,15 +137,15 @@ def discontinuity_mask(
 
 
 _LOCK = threading.Lock()
-_USERS: list[int] = []  # who is inside; each entry is OpenCV's number of threads before the first one
+_USERS: list[int] = []  # one entry per active context: OpenCV's number of threads before the first one
 
 
 @contextlib.contextmanager
 def single_thread() -> Iterator[None]:
-    """Let OpenCV use one thread within the context; several threads of Python may be inside at a time.
+    """Let OpenCV use one thread within the context; several Python threads may use the context at the same time.
 
-    The fast global smoother, and the WLS filter that is based on it, divide images into as many stripes as there are
-    threads and round differently at the ends of vectors: the last bits depend on the number of threads.
+    The fast global smoother, and the WLS filter based on it, divide images into one stripe per thread and round
+    differently at the ends of vectors, so that the last bits depend on the number of threads.
     """
     with _LOCK:
         _USERS.append(_USERS[0] if _USERS else cv2.getNumThreads())
@@ -169,7 +169,7 @@ def joint_bilateral_fill(
     """Fill NaN with ``sum w v / sum w`` over the known values in a window, from the edges of gaps inwards.
 
     ``w = exp(-|p - q|^2 / 2 sigma_space^2 - |I_p - I_q|^2 / 2 sigma_color^2)`` for an (H, W, 3) image I. Filled values
-    count as known in the next round; pixels that no round can fill stay NaN.
+    count as known in the next round. Pixels that no round can fill remain NaN.
     """
     reach = window // 2
     offsets = np.arange(-reach, reach + 1)
@@ -205,5 +205,5 @@ def _bilateral_means(begin, end, color, values, pixels, spatial, likeness, means
                 weight = spatial[v - y + reach, u - x + reach] * likeness[dr * dr + dg * dg + db * db]
                 total += weight * value
                 weights += weight
-        # Where all colors differ, all weights underflow: left to the next round, when closer pixels are known.
+        # If all colors differ, all weights underflow: leave the pixel to the next round, when closer pixels are known.
         means[n] = total / weights if weights > 1e-30 else np.nan

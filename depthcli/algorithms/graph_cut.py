@@ -1,4 +1,4 @@
-"""Optimal assignment of two labels, false and true, by one minimum cut, on any graph or on the grid of pixels."""
+"""Labels of minimum energy by graph cuts: exact for two labels, by alpha expansion for more."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ def binary_cut(
 ) -> NDArray[np.bool_]:
     """Return the labels x that minimize ``sum cost_of_true x + sum capacity (1 - x_p) x_q`` on a graph, (N,) bool.
 
-    ``cost_of_true`` (N,) is above that of false; the (E,) pairs of nodes (p, q) have costs ``capacity`` >= 0.
+    ``cost_of_true`` (N,) is relative to the cost of false. The (E,) pairs of nodes (p, q) have costs ``capacity`` >= 0.
     """
     graph: Any = maxflow.GraphFloat(len(cost_of_true), len(p))
     ids = graph.add_nodes(len(cost_of_true))
-    # Source side is x = 0: a terminal edge that is cut belongs to the side the node is not on.
+    # The source side is x = 0. A cut terminal edge belongs to the terminal on the other side than the node.
     graph.add_grid_tedges(ids, np.maximum(cost_of_true, 0.0), np.maximum(-cost_of_true, 0.0))
     if len(p):
         graph.add_edges(p, q, capacity, np.zeros_like(capacity))
@@ -30,11 +30,11 @@ def binary_cut(
 
 
 STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
-"""Offsets (row, column) of the four edges of each pixel; the other four of its eight neighbors are their reverses."""
+"""Offsets (row, column) from each pixel to four of its eight neighbors; the other four are the reverse offsets."""
 
 
 def edge_ends(shape: tuple[int, int], step: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Return two pairs of slices: of the pixels that have a neighbor at the offset ``step``, and of these neighbors."""
+    """Return two pairs of slices: the pixels that have a neighbor at offset ``step``, and these neighbors."""
     (height, width), (dy, dx) = shape, step
     left, right = slice(max(-dx, 0), max(width - max(dx, 0), 0)), slice(max(dx, 0), max(width + min(dx, 0), 0))
     return (slice(0, max(height - dy, 0)), left), (slice(dy, height), right)
@@ -45,8 +45,8 @@ def grid_cut(
 ) -> NDArray[np.bool_]:
     """Return the labels x that maximize ``sum gain_of_true x - sum weight |x_p - x_q|`` over pixels with 8 neighbors.
 
-    ``gain_of_true`` and the labels are (H, W). There is one array of weights >= 0 for each of :data:`STEPS`, of the
-    shape of the first slices that :func:`edge_ends` returns.
+    ``gain_of_true`` and the labels are (H, W). There is one array of weights >= 0 for each of :data:`STEPS`, with the
+    shape of the first pair of slices from :func:`edge_ends`.
     """
     shape = gain_of_true.shape[0], gain_of_true.shape[1]
     graph: Any = maxflow.GraphFloat(gain_of_true.size, len(STEPS) * gain_of_true.size)
@@ -63,7 +63,7 @@ def grid_cut(
 
 
 def potts_energy(labels: ArrayLike, unary: ArrayLike, edges: ArrayLike, weights: ArrayLike) -> float:
-    """Return the sum of ``unary[n, labels[n]]`` and of the weights of all edges whose ends differ in label."""
+    """Return the sum of ``unary[n, labels[n]]`` and the weights of all edges whose ends have different labels."""
     labels = np.asarray(labels)
     ends = np.asarray(edges, dtype=np.int64).reshape(-1, 2)
     data = np.asarray(unary)[np.arange(labels.size), labels].sum()
@@ -80,8 +80,8 @@ def alpha_expansion(
     unary : (N, L) finite costs of every label at every node
     edges : (E, 2) node indices, each edge once, no loops; E may be 0
     weights : (E,) costs >= 0 of an edge whose ends have different labels
-    initial : (N,) labels to start from, whose energy is never exceeded; default: the cheapest label of every node
-    max_sweeps : largest number of passes over all labels; ends earlier when no move lowers the energy
+    initial : (N,) labels to start from; the result's energy is not larger. Default: the cheapest label of every node
+    max_sweeps : largest number of passes over all labels; ends earlier if no move lowers the energy
     """
     costs = np.ascontiguousarray(unary, dtype=np.float64)
     ends = np.ascontiguousarray(edges, dtype=np.int32).reshape(-1, 2)
@@ -89,13 +89,13 @@ def alpha_expansion(
     labels = np.argmin(costs, axis=1) if initial is None else np.array(initial)
     labels = labels.astype(np.int32)
     energy = potts_energy(labels, costs, ends, strength)
-    # Transposed: a column of a large matrix misses the cache at every node.
+    # Transposed, since a column of a large matrix misses the cache at every node.
     _expand(labels, np.ascontiguousarray(costs.T), _arcs(len(costs), ends, strength), energy, max_sweeps)
     return labels, potts_energy(labels, costs, ends, strength)
 
 
 class _Arcs(NamedTuple):
-    # The edges of a graph, both ways: those from node n are starts[n] .. starts[n + 1] - 1.
+    # The edges of a graph in both directions; arcs from node n are starts[n] .. starts[n + 1] - 1.
     starts: NDArray[np.int64]
     end: NDArray[np.int32]
     reverse: NDArray[np.int32]  # the index of the arc in the opposite direction
@@ -123,20 +123,20 @@ def _arcs(count, edges, weights):
     return _Arcs(starts, end, reverse, weight)
 
 
-# A move switches a set of nodes to the label alpha. Of an edge between two that may switch, the cost becomes
-# w |x_p - x_q| where they have one label; where they have two, it falls by w x_p x_q, which is
-# w / 2 (x_p + x_q) - w / 2 |x_p - x_q|. So each node has a gain from switching, and edges have capacities w or w / 2.
-# Gains flow along the edges to nodes that lose by switching; those that cannot be absorbed, and all nodes that they
-# reach, switch. This is the minimum cut with the fewest nodes on the side of alpha. Nodes around absorb most gains, so
-# that few nodes of the graph are visited.
+# A move switches a set of nodes to the label alpha. If two nodes with one label may switch, the cost of their edge
+# becomes w |x_p - x_q|. If their labels differ, the cost falls by w x_p x_q = w / 2 (x_p + x_q) - w / 2 |x_p - x_q|. So
+# each node has a gain from switching, and edges have capacities w or w / 2. Gains flow along edges to nodes that lose
+# by switching. Nodes with a gain that cannot be absorbed switch, together with all nodes that such a gain reaches. This
+# is the minimum cut with the fewest nodes on the side of alpha. Nearby nodes absorb most gains, so that few nodes of
+# the graph are visited.
 
 
 @jit
 def _expand(labels, by_label, arcs, energy, max_sweeps):
     n_labels, nodes = by_label.shape
     capacity, rest = np.empty_like(arcs.weight), np.empty_like(arcs.weight)
-    base = np.empty(nodes, np.float64)  # cost of the own label, and half the weights of the edges to other labels
-    tiny = 0.0  # smaller gains and capacities are errors of rounding
+    base = np.empty(nodes, np.float64)  # cost of the node's label, plus half the weights of edges to other labels
+    tiny = 0.0  # smaller gains and capacities are rounding errors
     for n in range(nodes):
         _renew(n, labels, by_label, arcs, capacity, rest, base)
         tiny = max(tiny, 1e-12 * np.sum(arcs.weight[arcs.starts[n] : arcs.starts[n + 1]]))
@@ -144,7 +144,7 @@ def _expand(labels, by_label, arcs, energy, max_sweeps):
     height, number = np.zeros(nodes, np.int32), np.zeros(nodes + 2, np.int32)
     raised, queue = np.empty(nodes + 1, np.int32), np.empty(nodes, np.int32)
     moves = np.zeros(nodes, np.bool_)
-    since_change = 0  # labels tried since the last move that lowered the energy; after all of them, none can
+    since_change = 0  # labels tried since the last move that lowered the energy
     for turn in range(max_sweeps * n_labels):
         if since_change >= n_labels:
             break
@@ -166,14 +166,14 @@ def _expand(labels, by_label, arcs, energy, max_sweeps):
             change += costs[n] - by_label[labels[n], n]
             for e in range(arcs.starts[n], arcs.starts[n + 1]):
                 m = arcs.end[e]
-                if not moves[m] or n < m:  # an edge of two moved nodes once
+                if not moves[m] or n < m:  # count an edge between two moved nodes once
                     after = labels[m] != alpha and not moves[m]
                     change += arcs.weight[e] * (np.float64(after) - np.float64(labels[m] != labels[n]))
         for n in raised[:n_raised]:
             for e in range(arcs.starts[n], arcs.starts[n + 1]):
                 rest[e], rest[arcs.reverse[e]] = capacity[e], capacity[arcs.reverse[e]]
         height[:] = 0
-        # Rounding alone must not keep the loop alive.
+        # Rounding errors must not continue the loop.
         if change < -1e-9 * max(1.0, abs(energy)):
             energy, since_change = energy + change, 0
             labels[moved] = alpha
@@ -187,7 +187,7 @@ def _expand(labels, by_label, arcs, energy, max_sweeps):
 
 @jit
 def _renew(n, labels, by_label, arcs, capacity, rest, base):
-    # What depends on the labels of node n and of its neighbors.
+    # Update capacities and base cost of node n from the labels of n and its neighbors.
     base[n] = by_label[labels[n], n]
     for e in range(arcs.starts[n], arcs.starts[n + 1]):
         half = 0.5 * arcs.weight[e]
@@ -196,19 +196,19 @@ def _renew(n, labels, by_label, arcs, capacity, rest, base):
         base[n] += half if cut else 0.0
 
 
-_CLOSED = 1 << 30  # height of nodes that have no way to a node that absorbs
+_CLOSED = 1 << 30  # height of nodes without a path to a node that absorbs gains
 
 
 @jit
 def _absorb(arcs, rest, gain, tiny, height, number, raised, queue):
-    # Let gains flow to nodes with negative ones as far as the ``rest`` of the capacities allows, by pushing and
-    # relabeling (Goldberg and Tarjan, JACM 1988): a gain goes to the next lower node. A node without a way down rises
-    # above the lowest one that it can reach; if no node has some height, no gain above it can be absorbed. ``number``
-    # counts nodes by height. All heights and numbers are 0 before, except those of nodes that do not take part.
-    # Returned is the count of nodes in ``raised``, whose height has changed.
+    # Let gains flow to nodes with negative gains within the residual capacities ``rest``, by push-relabel (Goldberg and
+    # Tarjan, JACM 1988). A gain flows to a neighbor one step lower. A node without a lower neighbor rises above its
+    # lowest neighbor. If no node has some height, gains above this height cannot be absorbed. ``number`` counts nodes
+    # by height. Before the call, all heights and numbers are 0, except the heights of nodes that do not take part.
+    # Return the count of nodes in ``raised``, whose height has changed.
     count = 0
     for n in range(gain.size):
-        raised[count] = n  # counted if it rises; a branch would be predicted wrong often
+        raised[count] = n  # counted if it rises; a branch would often be mispredicted
         count += (gain[n] > tiny) & (height[n] == 0)
     waiting = count
     for k in range(count):
@@ -263,7 +263,7 @@ def _absorb(arcs, rest, gain, tiny, height, number, raised, queue):
 
 @jit
 def _reached(raised, labels, alpha, arcs, rest, gain, tiny, moves, queue):
-    # Mark the nodes that gains left over reach, list them in the queue, and return their number.
+    # Mark the nodes that remaining gains reach, list them in the queue, and return their number.
     count = 0
     for n in raised:
         if gain[n] > tiny:

@@ -1,4 +1,4 @@
-"""A small trained network, evaluated at every pixel: two layers of rectified units, and one output, the log odds."""
+"""A small trained network, evaluated at every pixel: two layers of rectified units, and the log odds as output."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from depthcli.core.errors import InputError
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.lanes import WIDE, load_like, maximum, minimum, splat_like, store, wide_zero
 
-INPUT_BOUND = np.float32(4.0)  # standard deviations; scripts/train_choice.py clips at the same
-TILE = 4  # units of a layer that are summed at a time: their sums stay in registers
+INPUT_BOUND = np.float32(4.0)  # standard deviations; scripts/train_choice.py clips at the same value
+TILE = 4  # units of a layer that are summed together: their sums stay in registers
 CHUNK = 2048
-"""Pixels that a task evaluates."""
+"""Pixels per task."""
 _Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class TrainedNetwork:
-    """A network of two hidden layers of rectified units: the log odds that each of N maps is right at a pixel.
+    """A network with two hidden layers of rectified units, for the log odds that each of N maps is correct at a pixel.
 
     Attributes
     ----------
-    maps : names of the N methods whose maps it was trained for
-    inputs : names of its F inputs
-    mean, scale : (F,) float32; the first layer gets ``(x - mean) scale`` of an input x
+    maps : names of the N methods of the maps
+    inputs : names of the F inputs
+    mean, scale : (F,) float32; the first layer gets ``(x - mean) scale`` for an input x
     layers : three pairs (weights, offsets), float32, of shapes (F, U) and (N, U); (U, V) and (V,); (V, 1) and (1,).
-        The first layer has one row of offsets per map; all other weights are shared by the maps
-    trained_on : names of the scenes that it was trained on
+        The first layer has one row of offsets per map; all maps share the other weights
+    trained_on : names of the training scenes
 
     Raises
     ------
     InputError
-        The shapes do not fit each other, or a number is not finite.
+        The shapes do not match, or a number is not finite.
     """
 
     maps: tuple[str, ...]
@@ -62,8 +62,8 @@ def log_odds(
 
     Parameters
     ----------
-    offsets : (U,) of the units of the first layer
-    planes, others : the network's inputs in their order, (F1, ...) and (F2, ...) float32, F1 + F2 = F
+    offsets : (U,) offsets of the first layer
+    planes, others : the network's inputs in order, (F1, ...) and (F2, ...) float32, F1 + F2 = F
     """
     alone, together = (at_least_wide(each.reshape(len(each), planes[0].size)) for each in (planes, others))
     out = np.empty(max(planes[0].size, WIDE), np.float32)
@@ -73,19 +73,19 @@ def log_odds(
 
 
 def at_least_wide(planes: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return (..., P) planes, padded with zeros to WIDE pixels where they have fewer."""
+    """Return (..., P) planes, padded with zeros to WIDE pixels if they have fewer."""
     missing = max(0, WIDE - planes.shape[-1])
     return np.pad(planes, [(0, 0)] * (planes.ndim - 1) + [(0, missing)]) if missing else planes
 
 
 def kernel_layers(trained: TrainedNetwork) -> tuple[_Array, _Array, _Array, _Array, _Array]:
-    """Return the arrays of the layers, without the offsets of the first one, as :func:`run_layers` takes them."""
+    """Return the arrays of the layers, without the first layer's offsets, in the format of :func:`run_layers`."""
     (w1, _), (w2, b2), (w3, b3) = trained.layers
     return _tiled(w1), _tiled(w2), b2, w3.ravel(), b3
 
 
 def of_first(trained: TrainedNetwork, count: int) -> TrainedNetwork:
-    """Return the network of the first ``count`` inputs where all others are 0."""
+    """Return a network of the first ``count`` inputs that assumes 0 for all others."""
     (w1, rows), *rest = trained.layers
     zeros = ((0 - trained.mean[count:]) * trained.scale[count:]).clip(-INPUT_BOUND, INPUT_BOUND)
     first = np.ascontiguousarray(w1[:count]), (rows + zeros @ w1[count:]).astype(np.float32)
@@ -99,14 +99,14 @@ def of_first(trained: TrainedNetwork, count: int) -> TrainedNetwork:
 
 
 def _tiled(weights: NDArray[np.float32]) -> NDArray[np.float32]:
-    # (units / 4, inputs, 4): in the order in which the kernel reads them
+    # Return (units / 4, inputs, 4): weights in the order in which the kernel reads them.
     inputs, units = weights.shape
     return np.ascontiguousarray(weights.reshape(inputs, units // TILE, TILE).transpose(1, 0, 2))
 
 
 @jit
 def set_input(values, center, factor, inputs, k):
-    """Write input ``k`` of WIDE pixels, which are a vector: flat ``inputs`` hold those of an input side by side."""
+    """Write input ``k`` of WIDE pixels, given as a vector, to flat ``inputs``, input by input."""
     low, high = splat_like(values, -INPUT_BOUND), splat_like(values, INPUT_BOUND)
     z = (values - splat_like(values, center)) * splat_like(values, factor)
     store(inputs, k * WIDE, minimum(maximum(z, low), high))
@@ -114,7 +114,7 @@ def set_input(values, center, factor, inputs, k):
 
 @jit
 def run_layers(inputs, offsets, w1, w2, b2, w3, b3, hidden, out, at):
-    """Write the log odds of WIDE pixels to ``out`` from ``at`` on; flat ``hidden`` has room for all units."""
+    """Write the log odds of WIDE pixels to ``out`` from ``at`` on; flat ``hidden`` is scratch for all units."""
     first, second = w1.shape[0] * TILE, w2.shape[0] * TILE
     units = hidden[: first * WIDE], hidden[first * WIDE : (first + second) * WIDE]
     _layer(inputs, w1, offsets, units[0])
@@ -128,7 +128,7 @@ def run_layers(inputs, offsets, w1, w2, b2, w3, b3, hidden, out, at):
 
 @jit
 def _layer(source, weights, offsets, target):
-    # Rectified units of a wide vector of pixels, four at a time: enough sums for none to wait for the one before.
+    # Rectified units of a wide vector of pixels. Four sums at a time hide the latency of the additions.
     zero = wide_zero()
     for tile in range(weights.shape[0]):
         w, unit = weights[tile], tile * TILE
@@ -154,7 +154,7 @@ def _evaluate(begin, end, alone, others, mean, scale, offsets, w1, w2, b2, w3, b
         hidden = np.empty((w1.shape[0] + w2.shape[0]) * TILE * WIDE, np.float32)
         zero, start = wide_zero(), task * CHUNK
         for at in range(start, min(pixels, start + CHUNK), WIDE):
-            first = min(at, pixels - WIDE)  # the last ones overlap others, to the same effect
+            first = min(at, pixels - WIDE)  # the last vector may overlap the previous one
             for k in range(mean.size):
                 if k < n_alone:
                     values = load_like(zero, alone, k * pixels + first)

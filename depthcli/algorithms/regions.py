@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from depthcli.kernels.jit import jit, run_bands
 
 BAND = 32
-"""Rows of an image that one thread joins; the result does not depend on it."""
+"""Rows of an image per task; the result does not depend on it."""
 
 
 @jit
 def root(parent, i):
-    """Return the root of the set of i in a disjoint-set forest, given as (N,) parents, whose paths are shortened."""
+    """Return the root of i in a disjoint-set forest of (N,) ``parent`` indices, and shorten the path to it."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -25,7 +25,7 @@ def root(parent, i):
 
 @jit
 def join(parent, i, j):
-    """Unite the sets of i and j; the smaller root stays, so that labels do not depend on the order of joining."""
+    """Unite the sets of i and j. The smaller root remains, so that labels do not depend on the order of joining."""
     i, j = root(parent, i), root(parent, j)
     if i < j:
         parent[j] = i
@@ -34,7 +34,7 @@ def join(parent, i, j):
 
 
 def _components(color: NDArray[Any], limit: float) -> NDArray[np.int32]:
-    # Pixels are joined inside of bands of rows, side by side, then across the rims of the bands.
+    # Join pixels inside bands of rows in parallel, then across the borders of the bands.
     parent = np.empty(color.shape[:2], np.int32)
     run_bands(_join_inside, -(-color.shape[0] // BAND), color, limit, parent.ravel())
     return np.asarray(_joined(color, limit, parent.ravel()).reshape(parent.shape), np.int32)
@@ -71,7 +71,7 @@ def _similar(color, other, limit):
 @jit
 def _join_rows(color, y, limit, parent):
     width = color.shape[1]
-    below = above = -1  # what was joined last
+    below = above = -1  # sets that were joined last
     for x in range(width):
         p = y * width + x
         if _similar(color[y, x], color[y - 1, x], limit) and (parent[p] != below or parent[p - width] != above):
@@ -81,7 +81,7 @@ def _join_rows(color, y, limit, parent):
 
 @jit
 def consecutive(parent):
-    """Return (N,) int32 numbers of the sets, counted in the order of their roots."""
+    """Return (N,) int32 labels of the sets, numbered in the order of their roots."""
     labels = np.empty(parent.size, np.int32)
     count = 0
     for i in range(parent.size):
@@ -97,19 +97,19 @@ class RegionPixels(NamedTuple):
     """The pixels of every region of a label map."""
 
     order: NDArray[np.int64]  # (P,) int64 flat pixel indices, region by region, raster order inside
-    starts: NDArray[np.int64]  # (n + 1,) int64 where each region begins in ``order``
+    starts: NDArray[np.int64]  # (n + 1,) int64 start of each region in ``order``
 
     @classmethod
     def of(
         cls, labels: NDArray[np.int32], chosen: NDArray[np.bool_] | None = None, count: int | None = None
     ) -> RegionPixels:
-        """Return the pixels of an (H, W) label map by label, all of them or only the ``chosen`` ones, (H, W) bool."""
+        """Return the pixels of an (H, W) label map by label: all pixels, or only the ``chosen`` ones, (H, W) bool."""
         count = int(labels.max()) + 1 if count is None else count
         chosen = np.ones(labels.shape, np.bool_) if chosen is None else chosen
         return cls(*_counting_sort(np.ascontiguousarray(labels).ravel(), np.ascontiguousarray(chosen).ravel(), count))
 
     def divided(self, chosen: NDArray[np.bool_]) -> tuple[RegionPixels, RegionPixels]:
-        """Return the pixels that are ``chosen``, (H, W) bool, and the others."""
+        """Return the ``chosen`` pixels, (H, W) bool, and the others."""
         order, starts, other_order, other_starts = _divided(self.order, self.starts, chosen.ravel())
         return RegionPixels(order, starts), RegionPixels(other_order, other_starts)
 
@@ -126,7 +126,7 @@ def _divided(order, starts, chosen):
     count = 0
     for s in range(starts.size - 1):
         for k in range(starts[s], starts[s + 1]):
-            first[count], second[k - count] = order[k], order[k]  # a branch would be predicted wrong often
+            first[count], second[k - count] = order[k], order[k]  # a branch would often be mispredicted
             count += chosen[order[k]]
         first_starts[s + 1] = count
     return first[:count].copy(), first_starts, second[: order.size - count].copy(), starts - first_starts
@@ -151,7 +151,7 @@ def _counting_sort(labels, chosen, count):
 
 
 def connected_components(color: NDArray[Any], max_distance: float) -> NDArray[np.int32]:
-    """Return the labels of regions of an (H, W, C) image of integers in which neighbors have similar colors.
+    """Return labels of the connected regions of similar color in an (H, W, C) image of integers.
 
     4-neighbors whose Euclidean color distance is at most ``max_distance`` belong to the same region. Labels count from
     0 in raster order of the regions' first pixels.
@@ -160,7 +160,7 @@ def connected_components(color: NDArray[Any], max_distance: float) -> NDArray[np
 
 
 def connected_components_of_labels(labels: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return labels of the 4-connected pieces of equal value in an (H, W) int32 map; numbered in the same order."""
+    """Return labels of the 4-connected pieces of equal value in an (H, W) int32 map, in raster order."""
     return _components(np.ascontiguousarray(labels)[..., None], 0.0)
 
 
@@ -171,7 +171,7 @@ class RegionGraph:
     sizes: NDArray[np.int64]  # (N,) int64 pixels of every region
     edges: NDArray[np.int32]  # (E, 2) int32 pairs i < j of 4-neighboring regions, sorted
     boundary: NDArray[np.int64]  # (E,) int64 number of 4-neighbor pixel pairs along the common boundary
-    sums: NDArray[np.float64]  # (N, C) float64 sum of the colors of every region
+    sums: NDArray[np.float64]  # (N, C) float64 color sum of every region
 
     @property
     def means(self) -> NDArray[np.float64]:
@@ -180,9 +180,9 @@ class RegionGraph:
 
     @property
     def distances(self) -> NDArray[np.float64]:
-        """Squared distance of the mean colors of the two regions of every edge, (E,) float64."""
+        """Squared distance between the mean colors of each edge's two regions, (E,) float64."""
         first, second = self.edges.T
-        # By channels: gathering rows of three numbers, and sums over so few, are slow.
+        # By channels, since gathering and summing rows of three numbers is slow.
         channels = (np.ascontiguousarray(channel) for channel in self.means.T)
         return np.asarray(sum(np.square(channel[first] - channel[second]) for channel in channels), np.float64)
 
@@ -207,7 +207,7 @@ def _sums(labels, colors, count):
 
 @jit
 def _edges(starts, neighbors, boundary):
-    # The sorted (E, 2) edges i < j, each once, and their boundaries, from the result of region_adjacency.
+    # Return the sorted (E, 2) edges i < j, each once, and their boundaries, from the result of region_adjacency.
     count = starts.size - 1
     free = np.zeros(count + 1, np.int64)
     for i in range(count):
@@ -229,14 +229,15 @@ def merge_small_regions(
 ) -> NDArray[np.int32]:
     """Join every region of fewer than ``min_size`` pixels to the neighbor with the most similar mean color.
 
-    Regions join in rounds until all are large enough (or only one is left). ``by_boundary``: they join the neighbor of
-    the same color with the longest common boundary instead, if there is one. Labels are (H, W) int32 from 0 on.
+    Regions join in rounds until all are large enough, or no region has a neighbor to join. With ``by_boundary``, a
+    region joins the neighbor of exactly the same color with the longest common boundary instead, if there is one.
+    Labels are (H, W) int32, from 0 on.
     """
     count = int(labels.max()) + 1
     sizes, sums = _sums(labels.ravel(), image.reshape(labels.size, -1), count)
     means = sums / np.maximum(sizes, 1)[:, None]
     starts, neighbors, boundary = region_adjacency(labels, count)
-    # The first member of a merged region stands for it; the others follow in a list that begins there.
+    # The first member represents a merged region; the other members follow in a linked list.
     parent, following = np.arange(count, dtype=np.int32), np.full(count, -1, np.int32)
     last = parent.copy()
     small = np.flatnonzero(sizes < min_size)
@@ -253,7 +254,7 @@ def merge_small_regions(
 
 @jit
 def _find_targets(begin, end, small, means, parent, following, starts, neighbors, boundary, by_boundary, target):
-    # The neighbors that the regions ``small`` are to join, -1 where there is none.
+    # Write the neighbors that the ``small`` regions join, -1 = none.
     for task in range(begin, end):
         lengths = np.zeros(parent.size if by_boundary else 0, np.int64)
         for k in range(small.size * task // BAND, small.size * (task + 1) // BAND):
@@ -263,8 +264,8 @@ def _find_targets(begin, end, small, means, parent, following, starts, neighbors
 
 @jit
 def _best_neighbor(region, means, parent, following, starts, neighbors, boundary, lengths, by_boundary):
-    # The neighbor with the most similar mean color or, of those with the same one, the longest common boundary; the
-    # first of equal ones, -1 where there is none. ``lengths`` are zeros before and after.
+    # Return the neighbor with the most similar mean color or, ``by_boundary``, the neighbor of the same color with the
+    # longest common boundary; the first of equal ones, -1 if there is none. ``lengths`` are zeros before and after.
     best, min_rank = np.int32(-1), np.inf
     for turn in range(2):
         member = region if turn or by_boundary else -1
@@ -280,7 +281,7 @@ def _best_neighbor(region, means, parent, following, starts, neighbors, boundary
                     rank += square
                     if square > limit:
                         break
-                if by_boundary:  # known once all parts of the boundary are added, and then 0 for the other parts
+                if by_boundary:  # lengths are complete now; 0 for further parts of the same boundary
                     rank = -np.float64(lengths[m]) if rank == 0.0 else np.inf
                     lengths[m] = 0
                 if m != region and (rank < min_rank or (rank == min_rank and m < best)):
@@ -319,7 +320,7 @@ def _join_targets(small, target, sizes, sums, means, parent, following, last, mi
 
 @jit
 def joined_regions(count, edges):
-    """Return the (count,) int32 groups of regions joined by ``edges`` (E, 2), numbered by their first members."""
+    """Return the group of each region, (count,) int32, joined by ``edges`` (E, 2); numbered by their first members."""
     parent = np.arange(count).astype(np.int32)
     for e in range(len(edges)):
         join(parent, edges[e, 0], edges[e, 1])
@@ -330,11 +331,11 @@ def joined_regions(count, edges):
 def region_adjacency(labels, count):
     """Return the neighbors of the regions 0 .. count - 1 of a label map (H, W), ordered by region.
 
-    Returned are (count + 1,) ``starts``, the neighbors, in the raster order in which the region's boundary first
-    touches them, and the lengths of the common boundaries (int64): numbers of 4-neighboring pairs of pixels. The
-    elements ``starts[s] .. starts[s + 1] - 1`` belong to region s.
+    The results are ``starts`` (count + 1,), the neighbors, and the lengths (int64) of the common boundaries. Elements
+    ``starts[s] .. starts[s + 1] - 1`` belong to region s; its neighbors are in the raster order in which its boundary
+    first touches them. A length is the number of 4-neighboring pairs of pixels.
     """
-    # Branches would be predicted wrong often: everything is written, and counted if it is to stay.
+    # Branches would often be mispredicted: every pair is written, and counted only if it remains.
     height, width = labels.shape
     pairs = np.empty((2 * labels.size + 1, 2), np.int32)
     n_pairs = 0
@@ -357,7 +358,7 @@ def region_adjacency(labels, count):
         neighbors[free[s]], neighbors[free[t]] = t, s
         free[s] += 1
         free[t] += 1
-    # Each bucket, written over itself without repetitions.
+    # Remove repetitions from each bucket in place.
     place, boundary = np.full(count, -1, np.int64), np.zeros(neighbors.size, np.int64)
     end = 0
     for s in range(count):

@@ -13,7 +13,7 @@ from depthcli.kernels.jit import jit, run_bands
 
 
 def trilinear(volume: NDArray[np.float32], coordinates: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return trilinear samples of a (Z, Y, X) volume at (N, 3) coordinates z, y, x in voxels; borders are repeated."""
+    """Return trilinear samples of a (Z, Y, X) volume at (N, 3) coordinates z, y, x in voxels, with repeated borders."""
     top = np.array(volume.shape) - 1
     inside = np.clip(coordinates, 0, top)
     low = np.minimum(inside.astype(np.int64), np.maximum(top - 1, 0))
@@ -27,7 +27,7 @@ def trilinear(volume: NDArray[np.float32], coordinates: NDArray[np.float64]) -> 
 
 
 def nearest(volume: NDArray[np.float32], coordinates: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the values of a (Z, Y, X) volume nearest to (N, 3) coordinates z, y, x in voxels; NaN outside of it."""
+    """Return the values of a (Z, Y, X) volume nearest to (N, 3) coordinates z, y, x in voxels; NaN outside."""
     index = np.rint(coordinates).astype(np.int64)
     inside = np.all((index >= 0) & (index < np.array(volume.shape)), axis=1)
     sampled = np.full(len(coordinates), np.nan, np.float32)
@@ -36,14 +36,14 @@ def nearest(volume: NDArray[np.float32], coordinates: NDArray[np.float64]) -> ND
 
 
 def block_means(volume: NDArray[Any], block: tuple[int, int, int]) -> NDArray[np.float32]:
-    """Return the mean of every block of (z, y, x) voxels of a volume; the last ones along an axis may be smaller."""
+    """Return the mean of every block of (z, y, x) voxels of a volume; the last block along an axis may be smaller."""
     if max(block) == 1:
         return volume.astype(np.float32, copy=False)
     starts = [np.arange(0, n, b) for n, b in zip(volume.shape, block, strict=True)]
     counts = [np.diff([*start, n]) for start, n in zip(starts, volume.shape, strict=True)]
     plane = counts[1][:, None] * counts[2][None, :]
     out = np.empty([len(start) for start in starts], np.float32)
-    for k, first in enumerate(starts[0]):  # slice by slice: no second volume is in memory
+    for k, first in enumerate(starts[0]):  # slice by slice, to avoid a second volume in memory
         total = volume[first : first + block[0]].sum(axis=0, dtype=np.float64)
         rows = np.add.reduceat(np.add.reduceat(total, starts[1], axis=0), starts[2], axis=1)
         out[k] = rows / (plane * counts[0][k])
@@ -64,8 +64,8 @@ def resample(
 ) -> NDArray[np.float32]:
     """Return trilinear samples of a (Z, Y, X) volume on a regular grid of ``shape``, borders repeated; float32.
 
-    ``step`` and ``start`` are the distance of the samples and the place of the first one along z, y, x, voxels. There
-    is no anti-aliasing: where ``step`` is well above 1, the volume should be smoothed first.
+    ``step`` and ``start`` are the distance of the samples and the position of the first one along z, y, x, in voxels.
+    There is no anti-aliasing: if ``step`` is well above 1, smooth the volume first.
     """
     for axis in range(3):
         coordinates = start[axis] + step[axis] * np.arange(shape[axis], dtype=np.float64)
@@ -79,7 +79,7 @@ def resample(
 
 
 def gaussian(volume: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-    """Smooth by a Gaussian of ``sigma`` voxels, cut at 3 sigma, borders repeated; not along axes of one voxel."""
+    """Smooth with a Gaussian of ``sigma`` voxels, cut at 3 sigma, repeating borders; not along axes of one voxel."""
     radius = int(np.ceil(3 * sigma))
     if radius == 0:
         return volume.copy()

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from depthcli.kernels.jit import jit, run_bands
 
-_BAND = 24  # rows that one task visits in order; any number gives a valid order, this one keeps all cores busy
+_BAND = 24  # rows that a task visits in order; any number is valid, this one keeps all cores busy
 
 
 def trws(
@@ -22,16 +22,16 @@ def trws(
 
     The pairs (p, q) are neighbors among the active pixels: eight per pixel, or four if the weights of the diagonals
     are 0. Method: Kolmogorov, "Convergent tree-reweighted message passing for energy minimization", PAMI 2006. Rows are
-    divided into bands, which run in parallel; the last row of each band is visited after all other rows, so that the
+    divided into bands, which run in parallel. The last row of each band is visited after all other rows, so that the
     result does not depend on the number of threads.
 
     Parameters
     ----------
     values : (N, K) candidates of the N active pixels in raster order
-    unary : (N, K) costs; inf: the pixel has neither this candidate nor any after it. The first is finite
-    active : (H, W), N of them True
-    weights : (N, 4) >= 0, of the pairs with the neighbor on the right, below left, below, and below right; ignored
-        where that neighbor is not active
+    unary : (N, K) costs; inf marks the end of a pixel's candidates. The first cost is finite
+    active : (H, W) bool, N of them True
+    weights : (N, 4) >= 0, for the neighbors on the right, below left, below, and below right; ignored for neighbors
+        that are not active
     truncation : difference of two values beyond which the cost of a pair no longer grows
     iterations : number of forward and backward passes
 
@@ -63,7 +63,7 @@ def trws(
     return labels
 
 
-# Neighbor k of a pixel lies at (_DY[k], _DX[k]); pair k < 4 is stored with the pixel, pair k >= 4 with the
+# Neighbor k of a pixel has the offset (_DY[k], _DX[k]). Pair k < 4 is stored with the pixel, pair k >= 4 with the
 # neighbor, as its pair k - 4.
 _DY = np.array([0, 1, 1, 1, 0, -1, -1, -1])
 _DX = np.array([1, -1, 0, 1, -1, 1, 0, -1])
@@ -71,14 +71,14 @@ _DX = np.array([1, -1, 0, 1, -1, 1, 0, -1])
 
 @jit
 def _rank(y, height):
-    # The turn in which a row is visited: rows of different bands may share one, but no neighbors do.
+    # Return the turn in which a row is visited. Rows of different bands may share a turn, but neighbors do not.
     row = y % _BAND
     return _BAND if row == _BAND - 1 and y != height - 1 else row
 
 
 @jit
 def _order(nodes, count):
-    # Share of a node's cost that each of its trees gets, (N,); bits of the neighbors visited before it, (N,).
+    # Return the share of a node's cost for each of its trees, (N,), and bits of the neighbors visited before it, (N,).
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
     share = np.empty(count, np.float32)
     earlier = np.zeros(count, np.uint8)
@@ -133,7 +133,7 @@ def _visit(
             message[i] = part * belief[i] - message[i]
             own = min(own, message[i])
         others = choices[m]
-        # The new message is computed aside, since it overwrites the old one.
+        # The new message overwrites the old one, so it is first computed in scratch memory.
         for j in range(others):
             best = own + cap
             for i in range(labels):
@@ -169,7 +169,7 @@ def _pass(begin, end, nodes, values, unary, weights, truncation, choices, share,
 
 @jit
 def _select(begin, end, nodes, values, unary, weights, truncation, choices, earlier, messages, labels, last):
-    # Labels in the order of the visits: each from the labels of earlier and the messages of later neighbors.
+    # Choose labels in the order of the visits, from the labels of earlier and the messages of later neighbors.
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
     for band in range(begin, end):
         for y in range(band * _BAND, min(band * _BAND + _BAND, height)):

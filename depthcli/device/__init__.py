@@ -1,8 +1,8 @@
-"""Devices other than the processor that run kernels: GPUs, through OpenCL or CUDA.
+"""Devices other than the CPU that run kernels: GPUs, through OpenCL or CUDA.
 
-:func:`open_device` gives the :class:`Device` that the text of ``--device`` names; :func:`devices` lists all without
-opening any. Kernels are C text that is written once, in OpenCL C, with macros by which CUDA understands it
-(``dialect``). ``opencl`` and ``cuda`` are the back ends, whose packages are imported at the first request.
+:func:`open_device` returns the :class:`Device` for the value of ``--device``; :func:`devices` lists all devices without
+opening them. Kernels are written once, in OpenCL C with macros for CUDA (``dialect``). The back ends are ``opencl`` and
+``cuda``; their packages are imported at the first request.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ _BENCHMARKS = Kernels("depthcli.device", "benchmarks.cl")
 
 
 class DeviceError(DepthcliError):
-    """A device is missing, or failed."""
+    """Raised if a device is missing or fails."""
 
 
 @dataclass(frozen=True)
 class DeviceInfo:
     """Properties of a device that are known without using it."""
 
-    address: str  # how ``--device`` names it, such as ``opencl:0``
-    name: str  # what its driver calls it
+    address: str  # its value of ``--device``, e.g. ``opencl:0``
+    name: str  # its name in the driver
     memory: int  # size of its memory, bytes
-    is_gpu: bool  # False for a processor that a driver shows as a device (PoCL)
-    driver: str  # its platform and version, for the user
+    is_gpu: bool  # False for a CPU that a driver shows as a device (PoCL)
+    driver: str  # platform and version, for the user
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class DeviceArray:
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    handle: Any  # the back end's own buffer
+    handle: Any  # the back end's buffer
 
     @property
     def size(self) -> int:
@@ -64,14 +64,14 @@ class Launch:
 
     name: str
     seconds: float  # on the device
-    nbytes: int  # of all arrays among its arguments, each counted once: a lower bound of the memory traffic
+    nbytes: int  # size of all array arguments, each counted once: a lower bound of the memory traffic
 
 
 class Device(ABC):
-    """A device with one queue: commands run in the order in which they are given.
+    """A device with one queue, which runs commands in their order.
 
-    Every public method raises DeviceError where the driver fails, or the device has too little memory. A back end
-    implements the abstract ones; what its package raises (``errors``) is translated here.
+    Every public method raises DeviceError if the driver fails or the device has too little memory. A back end
+    implements the abstract methods; the exceptions of its package (``errors``) are translated here.
     """
 
     errors: tuple[type[Exception], ...] = (Exception,)
@@ -81,8 +81,10 @@ class Device(ABC):
     def __init__(self, info: DeviceInfo) -> None:
         self.info = info
         self.launches: list[Launch] | None = None
-        """Timings of the kernels that ran. None: no timings are taken. To take them, assign a list: every call of
-        :meth:`finish` appends the kernels since the last one."""
+        """Timings of kernels; None: no timings are taken.
+
+        To take timings, assign a list. Every call of :meth:`finish` appends the kernels since the previous call.
+        """
         self._kernels: dict[tuple[Kernels, str], Any] = {}
         self._events: list[tuple[str, Any, int]] = []
 
@@ -102,7 +104,7 @@ class Device(ABC):
     def _enqueue(
         self, kernel: Any, n_groups: tuple[int, ...], group: tuple[int, ...], arguments: list[Any], timed: bool
     ) -> Any:
-        """Enqueue the kernel; return what :meth:`_seconds` needs where it is ``timed``."""
+        """Enqueue the kernel; if ``timed``, return the event for :meth:`_seconds`."""
 
     @abstractmethod
     def _wait(self) -> None: ...
@@ -137,7 +139,7 @@ class Device(ABC):
         """Enqueue a kernel and return at once; its first launch compiles it.
 
         ``size`` is the number of threads along up to three dimensions, the fastest first, rounded up to whole groups;
-        ``group`` that of a group. Arguments are arrays of this device, int (passed as 32 bits), float (as 32 bits) or
+        ``group`` is the size of a group. Arguments are arrays of this device, int and float (passed as 32 bits), or
         NumPy scalars.
         """
         kernel = self._kernels.get((kernels, name))
@@ -159,7 +161,7 @@ class Device(ABC):
             self._events.append((name, event, nbytes))
 
     def finish(self) -> None:
-        """Wait until all commands are done, and take the timings that :attr:`launches` asks for."""
+        """Wait until all commands are done, and append timings to :attr:`launches` if it is a list."""
         events, self._events = self._events, []
         self._guarded(self._wait)
         if self.launches is not None:
@@ -201,7 +203,7 @@ def first_line(error: Exception) -> str:
 
 
 def devices() -> list[DeviceInfo]:
-    """Return all devices that the installed packages and drivers know, GPUs first."""
+    """Return all devices of the installed packages and drivers, GPUs first."""
     return sorted((info for kind in KINDS for info in _found(kind)[0]), key=lambda info: not info.is_gpu)
 
 
@@ -211,9 +213,9 @@ def why_no_device() -> str:
 
 
 def find_device(wanted: str) -> DeviceInfo | None:
-    """Return the device that ``wanted`` names; None for the processor.
+    """Return the device that ``wanted`` names; None for the CPU.
 
-    ``cpu``; ``auto``: the first GPU, otherwise the processor; ``opencl`` or ``cuda``: the first device of this kind,
+    ``cpu``: the CPU; ``auto``: the first GPU, otherwise the CPU; ``opencl`` or ``cuda``: the first device of this kind,
     GPUs first; ``opencl:1``: the device with this address. Raise ConfigError for any other text, DeviceError if there
     is no such device.
     """
@@ -237,7 +239,7 @@ _open: dict[str, Device] = {}
 
 
 def open_device(wanted: str) -> Device | None:
-    """Open the device that ``wanted`` names, see :func:`find_device`, once per process; None for the processor."""
+    """Open the device that ``wanted`` names (see :func:`find_device`), once per process; None for the CPU."""
     info = find_device(wanted)
     if info is None:
         return None
@@ -251,6 +253,6 @@ def _backend(kind: str) -> Any:
 
 
 def _found(kind: str) -> tuple[list[DeviceInfo], str]:
-    # The devices of a back end, in its driver's order; why there is none.
+    # Return the devices of a back end, in its driver's order, and the reason if there is none.
     found: tuple[list[DeviceInfo], str] = _backend(kind).find_devices()
     return found

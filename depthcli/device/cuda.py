@@ -1,4 +1,4 @@
-"""NVIDIA devices through CUDA (package ``cupy``, extra ``cuda``), where no OpenCL driver is installed."""
+"""NVIDIA devices through CUDA (package ``cupy``, extra ``cuda``), for machines without an OpenCL driver."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from depthcli.device import Device, DeviceError, DeviceInfo, Kernels, first_line
 from depthcli.device.dialect import CUDA
 
 OPTIONS = ("--std=c++14", "--fmad=false")
-"""Options of the compiler: no fused sums and products. Division and square root are rounded correctly by default."""
+"""Compiler options: no fused sums and products. Division and square root are correctly rounded by default."""
 
 
 @cache
 def find_devices() -> tuple[list[DeviceInfo], str]:
-    """Return the NVIDIA devices, in the driver's order, and why there is none."""
+    """Return the NVIDIA devices, in the driver's order, and the reason if there is none."""
     try:
         import cupy
     except ImportError:
@@ -30,7 +30,7 @@ def find_devices() -> tuple[list[DeviceInfo], str]:
             name, memory = facts["name"].decode(), int(facts["totalGlobalMem"])
             driver = f"CUDA {version // 1000}.{version % 1000 // 10}"
             found.append(DeviceInfo(f"cuda:{number}", name, memory, True, driver))
-    except Exception as error:  # CuPy has a type of its own for every library that can fail
+    except Exception as error:  # CuPy has a separate exception type for every library
         return [], f"no CUDA device answers ({first_line(error)})"
     return found, "there is no CUDA device"
 

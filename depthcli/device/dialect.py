@@ -1,17 +1,17 @@
-"""The C dialect of device kernels: OpenCL C, with macros for the differences of CUDA.
+"""The C dialect of device kernels: OpenCL C, with macros for the differences from CUDA.
 
 A kernel is ``KERNEL void name(GLOBAL const uchar *RESTRICT in, ...)``. In its body:
 
 | macro | meaning |
 |---|---|
-| ``GLOBAL_ID(n)``, ``LOCAL_ID(n)``, ``GROUP_ID(n)``, ``LOCAL_SIZE(n)`` | ints, of dimension n = 0, 1 or 2 |
-| ``OWN_PIXEL`` | declares x and y of the thread; ends threads outside ``width`` x ``height`` |
-| ``OWN_CELL`` | the same with d, x and y; ends threads outside ``n_disparities`` as well |
-| ``OWN_INDEX(i, count)`` | declares i of the thread; ends threads from ``count`` on |
-| ``LOCAL`` | memory that the threads of a group share |
-| ``BARRIER()`` | waits until all threads of the group are here |
+| ``GLOBAL_ID(n)``, ``LOCAL_ID(n)``, ``GROUP_ID(n)``, ``LOCAL_SIZE(n)`` | ints for dimension n = 0, 1 or 2 |
+| ``OWN_PIXEL`` | declares the thread's x and y; ends threads outside ``width`` x ``height`` |
+| ``OWN_CELL`` | declares the thread's d, x and y; also ends threads outside ``n_disparities`` |
+| ``OWN_INDEX(i, count)`` | declares the thread's i; ends threads from ``count`` on |
+| ``LOCAL`` | memory shared by the threads of a group |
+| ``BARRIER()`` | waits for all threads of the group |
 
-Sums and products are never fused, so that results equal those of the CPU kernels.
+Sums and products are never fused, so that results are equal on devices and the CPU.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ DEVICE int no_value(float v) { return v != v; }
 
 @dataclass(frozen=True)
 class Kernels:
-    """The kernels of a ``file`` of C text in a ``package``, with ``macros`` that are defined before the text."""
+    """The kernels in a ``file`` of C text in a ``package``, with ``macros`` that are defined before the text."""
 
     package: str
     file: str

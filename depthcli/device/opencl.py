@@ -1,4 +1,4 @@
-"""Devices through OpenCL (package ``pyopencl``, extra ``opencl``): GPUs of all vendors, and processors by PoCL."""
+"""Devices through OpenCL (package ``pyopencl``, extra ``opencl``): GPUs of all vendors, and CPUs through PoCL."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _handles() -> tuple[list[tuple[DeviceInfo, Any]], str]:
             try:
                 _try_out(cl, handle)
             except (cl.Error, MemoryError) as error:
-                # PoCL shows processors that its compiler does not know: https://github.com/pocl/pocl/issues/1049
+                # PoCL shows CPUs that its compiler does not support: https://github.com/pocl/pocl/issues/1049
                 why = f"{name} ({driver}) runs no kernel: {_message(error)}"
                 continue
             address, is_gpu = f"opencl:{len(found)}", bool(handle.type & cl.device_type.GPU)
@@ -46,7 +46,7 @@ def _handles() -> tuple[list[tuple[DeviceInfo, Any]], str]:
 
 
 def _try_out(cl: Any, handle: Any) -> None:
-    """Compile and run a kernel; raise the driver's error where the device cannot."""
+    """Compile and run a kernel; raise the driver's error if the device cannot."""
     context = cl.Context([handle])
     with warnings.catch_warnings(), cl.CommandQueue(context) as queue:
         warnings.simplefilter("ignore")  # compiler messages
@@ -56,7 +56,7 @@ def _try_out(cl: Any, handle: Any) -> None:
 
 
 def find_devices() -> tuple[list[DeviceInfo], str]:
-    """Return the devices of all OpenCL drivers, in the drivers' order, and why there is none."""
+    """Return the devices of all OpenCL drivers, in the drivers' order, and the reason if there is none."""
     found, why = _handles()
     return [info for info, _ in found], why
 
@@ -78,7 +78,7 @@ class _OpenClDevice(Device):
         self._options = ["-cl-std=CL1.2"]
         if handle.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
             self._options.append("-cl-fp32-correctly-rounded-divide-sqrt")
-        # The compiler's own cache of programs would print its messages.
+        # Without this, pyopencl's program cache would print the compiler's messages.
         os.environ.setdefault("PYOPENCL_COMPILER_OUTPUT", "0")
         try:
             self._context = cl.Context([handle])
@@ -130,6 +130,6 @@ class _OpenClDevice(Device):
 
 
 def _message(error: Exception) -> str:
-    # A compiler's error follows the command that ran.
+    # A compiler's error follows the command line, so return the first line with "error:".
     errors = [line.strip() for line in str(error).splitlines() if "error:" in line]
     return errors[0] if errors else first_line(error)

@@ -1,9 +1,9 @@
-"""Compiled kernels on disk: numba's cache, in a folder named by all that machine code is made from.
+"""Compiled kernels on disk: numba's cache, in a folder named by a digest of everything that determines machine code.
 
-numba knows a kernel by the path and the digest of its own source file: a moved package would not find its kernels, and
-after a change of a helper in another file a kernel would still run the old one. Here the folder is named by the digest
-of all source files with kernels, the versions of numba and LLVM, the compiler's settings and the processor; below it,
-a kernel is known by its module.
+numba identifies a kernel by the path and the digest of its own source file. A moved package would not find its kernels,
+and after a change in a helper of another file a kernel would still run the old code. Here, the digest covers all source
+files with kernels, the versions of numba and LLVM, the compiler's settings and the processor. In the folder, a kernel
+is identified by its module.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-# Intel's vector math library, where a machine happens to have it, would give other last digits than everywhere else.
+# On machines that have Intel's vector math library, it would give different last digits.
 os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
 
-# LLVM's level 3 takes a tenth longer, and its code is no faster.
+# LLVM's level 3 takes 10 % longer, and its code is not faster.
 os.environ.setdefault("NUMBA_OPT", "2")
 
 import llvmlite
@@ -39,16 +39,16 @@ from numba.core.serialize import dumps
 
 _PACKAGE = Path(__file__).parents[1]
 _HAS_KERNELS = re.compile(rb"^(@jit|@intrinsic|@overload)\b", re.M)
-_MAX_AGE_DAYS = 30  # a month of other work, or of another branch, costs no compilation
+_MAX_AGE_DAYS = 30  # a month on another branch does not discard kernels
 _DAY = 86400
 
 
 def _candidates() -> list[Path]:
-    """Return the folders that may hold the compiled kernels, the best one first."""
+    """Return candidate folders for compiled kernels, the preferred one first."""
     if os.environ.get("NUMBA_CACHE_DIR"):
         return [Path(os.environ["NUMBA_CACHE_DIR"])]
     found = []
-    with contextlib.suppress(RuntimeError, OSError):  # no home folder, no temporary folder
+    with contextlib.suppress(RuntimeError, OSError):  # if there is no home folder
         home = {"win32": "~/AppData/Local", "darwin": "~/Library/Caches"}.get(sys.platform, "~/.cache")
         found.append(Path(os.environ.get("XDG_CACHE_HOME") or Path(home).expanduser()) / "depthcli" / "kernels")
     with contextlib.suppress(OSError):
@@ -59,17 +59,18 @@ def _candidates() -> list[Path]:
 
 @cache
 def cache_folder() -> Path | None:
-    """Return the folder of compiled kernels: ``NUMBA_CACHE_DIR``, the user's cache, or else a temporary one.
+    """Return the folder of compiled kernels: ``NUMBA_CACHE_DIR``, the user's cache, or otherwise a temporary folder.
 
-    Never the package's own folder, which may be read-only or belong to another user, nor one that another user planted:
-    the cache holds code. None where no folder can be written: then every process compiles for itself.
+    The package's own folder is not used, since it may be read-only or belong to another user. Unless it is
+    ``NUMBA_CACHE_DIR``, a folder that another user created or can write to is not used either, since the cache contains
+    code. None if no folder can be written: then every process compiles its own kernels.
     """
     for folder in _candidates():
         with contextlib.suppress(OSError):
             for new in (*reversed(folder.parents), folder):
                 new.mkdir(mode=0o700, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
-                shared = folder.parent.parent == Path(tempfile.gettempdir())  # where anybody can make the parent
+                shared = folder.parent.parent == Path(tempfile.gettempdir())  # there any user can create the parent
                 if "NUMBA_CACHE_DIR" in os.environ or all(map(_is_private, [folder, folder.parent][: 1 + shared])):
                     return folder
     warn_once("no folder for compiled kernels can be written (see NUMBA_CACHE_DIR): each process compiles its own")
@@ -77,7 +78,7 @@ def cache_folder() -> Path | None:
 
 
 def _is_private(folder: Path) -> bool:
-    """Return True for a folder of this user, no link, in which no other user can write."""
+    """Return True if ``folder`` is no link, belongs to this user, and no other user can write to it."""
     state = folder.lstat()
     own = not hasattr(os, "getuid") or (state.st_uid == os.getuid() and not state.st_mode & 0o022)
     return own and stat.S_ISDIR(state.st_mode)
@@ -85,13 +86,13 @@ def _is_private(folder: Path) -> bool:
 
 @cache
 def warn_once(message: str) -> None:
-    """Log a warning, the first time only."""
+    """Log a warning once per message."""
     logging.getLogger("depthcli").warning(message)
 
 
 @cache  # once per process
 def digest_of_kernels(folder: Path, files: str) -> str:
-    """Return the digest of all that the machine code of kernels is made from: sources, versions, settings."""
+    """Return the digest of everything that determines the machine code of kernels: sources, versions, settings."""
     config: Any = numba.config
     settings = (config.BOUNDSCHECK, config.OPT, config.USING_SVML, config.CPU_NAME, config.CPU_FEATURES)
     facts = (numba.__version__, llvmlite.__version__, llvmlite.binding.get_host_cpu_name(), settings)
@@ -105,13 +106,13 @@ def digest_of_kernels(folder: Path, files: str) -> str:
 
 @cache  # once per process
 def _kernel_folder(folder: Path) -> Path:
-    """Return the folder of our kernels, marked as used; those that nothing used for a month are removed."""
+    """Return this version's folder, marked as used; remove folders of other versions unused for a month."""
     own = folder / digest_of_kernels(_PACKAGE, "**/*.py")[:20]
     with contextlib.suppress(OSError):
         own.mkdir(exist_ok=True)
         if time.time() - own.stat().st_mtime > _DAY:
             os.utime(own)
-        # Folders named by a module are those of versions that kept kernels in another way.
+        # Folders named by a module come from versions with another cache layout.
         for other in (*folder.glob("[0-9a-f]" * 20), *folder.glob("depthcli.*")):
             if time.time() - other.stat().st_mtime > _MAX_AGE_DAYS * _DAY:
                 shutil.rmtree(other, ignore_errors=True)
@@ -119,7 +120,7 @@ def _kernel_folder(folder: Path) -> Path:
 
 
 class _Locator(_CacheLocator):
-    """The folder of one kernel's files, and the stamp that says whether they are current."""
+    """The folder of one kernel's files, and the stamp for the check whether they are current."""
 
     def __init__(self, folder: Path, file: Path, line: int) -> None:
         self._folder, self._line = folder, line
@@ -144,17 +145,17 @@ class _Locator(_CacheLocator):
 
 
 class _Files(CompileResultCacheImpl):
-    """numba's files, with a checksum of the machine code: damaged code must not be run."""
+    """numba's files, with a checksum of the machine code: damaged code must not run."""
 
     _locator_classes: list[Any] = [_Locator]  # noqa: RUF012
 
     def reduce(self, cres: Any) -> Any:
-        """Return what is written of a compiled kernel."""
+        """Return a compiled kernel as checksum and bytes, for writing."""
         content = dumps(super().reduce(cres))
         return zlib.crc32(content), content
 
     def rebuild(self, target_context: Any, reduced_data: Any) -> Any:
-        """Return the compiled kernel of which this was written."""
+        """Return the compiled kernel from the output of :meth:`reduce`."""
         checksum, content = reduced_data
         if zlib.crc32(content) != checksum:
             raise ValueError("wrong checksum")
@@ -173,8 +174,8 @@ class KernelCache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the kernel compiled for the types ``sig``; None if there is none."""
         try:
-            # Not by numba's load_overload, which first sets up all that compiling needs: that takes 0.2 s. Compiled
-            # code needs the runtime system alone.
+            # numba's load_overload would first set up the compiler, which takes 0.2 s. Compiled code needs only the
+            # runtime system.
             rtsys.initialize(target_context)
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)
@@ -185,7 +186,7 @@ class KernelCache(FunctionCache):
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Write the compiled kernel to the folder; where that fails, warn once."""
+        """Write the compiled kernel to the folder; if that fails, warn once."""
         try:
             super().save_overload(sig, self._compiler.compiled)
         except Exception as error:

@@ -1,4 +1,4 @@
-"""Differences of color between a pixel and others near it."""
+"""Color differences between a pixel and nearby pixels."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from depthcli.kernels.jit import jit, run_bands
 
 BEFORE: NDArray[np.int64] = np.array([(0, 1), (1, 0)])
-"""The pixels to the left and above."""
+"""Offsets to the left pixel and to the pixel above."""
 
 
 def color_steps(image: NDArray[np.uint8], back: NDArray[np.int64], largest: bool) -> NDArray[np.uint16]:
-    """Return sums over the channels of the differences from other pixels, or the ``largest`` of them; (K, H, W) uint16.
+    """Return color differences from K nearby pixels: sums over channels, or the ``largest`` channel; (K, H, W) uint16.
 
-    Plane k is of the pixel ``back[k]`` behind, (K, 2) rows, 0 or 1, and columns; 0 where that lies outside the image,
-    (H, W, 3).
+    Plane k compares each pixel of the (H, W, 3) image with the pixel ``back[k]`` rows (0 or 1) above and columns to the
+    left; 0 if that pixel is outside the image.
     """
     steps = np.zeros((len(back), *image.shape[:2]), np.uint16)
     run_bands(_differences, steps.shape[1], np.ascontiguousarray(image), back, largest, steps)
@@ -26,7 +26,7 @@ def color_steps(image: NDArray[np.uint8], back: NDArray[np.int64], largest: bool
 def _differences(begin, end, image, back, largest, steps):
     n_steps, _, width = steps.shape
     for y in range(begin, end):
-        rows = np.empty((2, 3, width), np.int16)  # planes: loops over interleaved channels are no vectors
+        rows = np.empty((2, 3, width), np.int16)  # planes, since loops over interleaved channels are not vectorized
         for dy in range(min(2, y + 1)):
             for c in range(3):
                 for x in range(width):

@@ -1,4 +1,4 @@
-"""Exponentials in single precision that the compiler can vectorize (the C library's it cannot), accurate and fast."""
+"""Accurate and fast exponentials in single precision; unlike the C library's, the compiler can vectorize them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from depthcli.kernels.jit import intrinsic, jit, types
 
 
 def _bits_as(source: Any, target: Any) -> Any:
-    # An intrinsic that reinterprets the bits of a ``source`` as a ``target``.
+    # Return an intrinsic that reinterprets the bits of a ``source`` as a ``target``.
 
     def cast(typingctx: Any, value: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -47,8 +47,8 @@ def exp_minus(x):
 def exp2_minus(z):
     """Return 2 ** -z of a float32 z >= 0, relative error 2e-7; z above 125 counts as 125.
 
-    2 ** -z = 2 ** -n * 2 ** -0.5 * exp(u) with n = int(z), u = ln 2 * (0.5 - (z - n)), |u| < 0.35: the first
-    factor is set as the bits of an exponent, the last is a series of six terms.
+    2 ** -z = 2 ** -n * 2 ** -0.5 * exp(u) with n = int(z), u = ln 2 * (0.5 - (z - n)), |u| < 0.35. The first factor is
+    set as the bits of an exponent; the last is a series of degree 6.
     """
     half, ln2, root = np.float32(0.5), np.float32(0.6931472), np.float32(0.70710678)
     c2, c3, c4 = np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)
@@ -65,7 +65,7 @@ def exp2_minus(z):
 def exp_minus_16(z):
     """Return exp(-16 z) of a float32 z >= 0, absolute error below 1e-4; z above 1 counts as 1.
 
-    It is the 16th power of a cubic in z, the Taylor polynomial of exp(-z).
+    Computed as the 16th power of a cubic, the Taylor polynomial of exp(-z).
     """
     half, sixth, one = np.float32(0.5), np.float32(1.0 / 6.0), np.float32(1.0)
     z = z if z < one else one
@@ -84,7 +84,7 @@ def exp_minus_16(z):
 def likelihood(distance):
     """Return exp(-2 t), a candidate's term of the maximum likelihood measure (Hu and Mordohai, PAMI 2012).
 
-    ``t`` is the ``distance`` >= 0 of the candidate's cost from the smallest one.
+    ``t`` is the ``distance`` >= 0 of the candidate's cost from the smallest cost.
     """
     return exp_minus(np.float32(2.0) * distance)
 
@@ -93,15 +93,15 @@ def likelihood(distance):
 def attainable_likelihood(distance):
     """Return exp(-8 t^2), a candidate's term of the attainable maximum likelihood (Hu and Mordohai, PAMI 2012).
 
-    ``t`` is the ``distance`` of the candidate's cost from the smallest one.
+    ``t`` is the ``distance`` of the candidate's cost from the smallest cost.
     """
     return exp_minus(np.float32(8.0) * distance * distance)
 
 
 @jit
 def peak_ratio(lowest, second, eps):
-    """Return the ratio of a curve's ``second`` cost to its ``lowest`` one; ``eps`` > 0 avoids a division by 0.
+    """Return the ratio of a curve's ``second`` cost to its ``lowest`` cost; ``eps`` > 0 avoids a division by 0.
 
-    Which cost is the second one is the measure's choice: that of another minimum, or the second smallest of all.
+    Depending on the measure, the second cost is the cost of another minimum, or the second smallest of all costs.
     """
     return (second + eps) / (lowest + eps)

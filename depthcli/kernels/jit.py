@@ -1,6 +1,6 @@
-"""Compiler options of every kernel. Kernels import what they need of numba from here, never from numba itself.
+"""Compiler options of all kernels. Kernels import numba's names from this module, never from numba itself.
 
-numba reads its settings once, when it is imported: :mod:`depthcli.kernels.cache` sets them before that.
+numba reads its settings once, at its import; :mod:`depthcli.kernels.cache` sets them before that.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from itertools import pairwise
 from queue import SimpleQueue
 from typing import Any, TypeVar, cast
 
-from depthcli.kernels.cache import KernelCache, cache_folder  # before numba: it sets where kernels are kept
+from depthcli.kernels.cache import KernelCache, cache_folder  # before numba: it sets numba's options
 
 import numba  # isort: skip
 import numba.core.event
@@ -33,9 +33,9 @@ __all__ = [
 
 
 def _load_without_scipy() -> None:
-    """Load numba's array functions without scipy.linalg, which takes longer to import than numba itself.
+    """Load numba's array functions without scipy.linalg, whose import takes longer than numba's.
 
-    numba needs it for matrix products only; therefore a kernel cannot call ``np.dot`` or ``np.linalg``.
+    numba needs it for matrix products only, so kernels cannot call ``np.dot`` or ``np.linalg``.
     """
     name = "scipy.linalg"
     if name in sys.modules or "numba.np.arraymath" in sys.modules:
@@ -56,7 +56,7 @@ _OPTIONS: dict[str, Any] = {"no_cfunc_wrapper": True, "nogil": True, "error_mode
 
 
 def jit(function: _F) -> _F:
-    """Return ``function`` as a kernel, compiled for each combination of types that it is called with, and kept."""
+    """Return ``function`` as a kernel, which is compiled and cached for each combination of argument types."""
     kernel: Any = numba.njit(**_OPTIONS)(function)
     kernel._compiler = compiler = _Compiler(kernel._compiler)
     if cache_folder() is not None:
@@ -65,10 +65,10 @@ def jit(function: _F) -> _F:
 
 
 class _Compiler:
-    """Compiles a kernel and loads the result in the way that it is loaded from disk.
+    """Compiles a kernel and loads the result in the same way as from disk.
 
-    A kernel has its own copies of the functions that it calls, optimized with it. In the process that compiles them,
-    they are linked to the first copy there, of other code: sums of floats would differ in their last digits.
+    A kernel has its own copies of the functions that it calls, optimized with it. numba would link them to the first
+    copy in the compiling process, optimized with other code, and sums of floats would differ in their last digits.
     """
 
     def __init__(self, compiler: Any) -> None:
@@ -79,7 +79,7 @@ class _Compiler:
         return getattr(self._compiler, name)
 
     def compile(self, arguments: Any, return_type: Any) -> Any:
-        """Return what ``numba.core.dispatcher._FunctionCompiler.compile`` returns."""
+        """Return the result of ``numba.core.dispatcher._FunctionCompiler.compile``."""
         self.compiled = self._compiler.compile(arguments, return_type)
         target = self.compiled.target_context
         own = target.subtarget(_internal_codegen=JITCPUCodegen("depthcli"))
@@ -89,7 +89,7 @@ class _Compiler:
 
 
 def intrinsic(function: Callable[..., Any]) -> Any:
-    """Return an operation for kernels that ``function`` defines by the LLVM code that it emits (see numba's manual)."""
+    """Return an operation for kernels; ``function`` emits its LLVM code (see numba's manual)."""
     return numba.extending.intrinsic(function)
 
 
@@ -99,12 +99,12 @@ def n_threads() -> int:
 
 
 def set_threads(count: int) -> None:
-    """Let kernels use at most ``count`` threads, and no more than ``NUMBA_NUM_THREADS``: else, the number of cores."""
+    """Let kernels use at most ``count`` threads, limited by ``NUMBA_NUM_THREADS`` (default: the number of cores)."""
     _threads.used = max(1, min(count, _threads.most))
 
 
 class _Threads:
-    """The threads of this process that run bands beside the one that calls a kernel."""
+    """The threads of this process that run bands in addition to the calling thread."""
 
     def __init__(self) -> None:
         self.most = self.used = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
@@ -113,13 +113,13 @@ class _Threads:
             os.register_at_fork(after_in_child=self.forget)
 
     def forget(self) -> None:
-        """Begin anew: a process that is a copy of this one has none of its threads."""
+        """Reset: a forked process has none of its parent's threads."""
         self._lock = threading.Lock()
         self._started = 0
         self._tasks: SimpleQueue[Callable[[], None]] = SimpleQueue()
 
     def offer(self, task: Callable[[], None], times: int) -> None:
-        """Let up to ``times`` threads call ``task``, as soon as they have nothing else to do."""
+        """Let up to ``times`` threads call ``task`` as soon as they are idle."""
         if self._started < times:
             with self._lock:
                 for _ in range(self._started, times):
@@ -142,8 +142,8 @@ _threads = _Threads()
 def run_bands(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
     """Call ``kernel(begin, end, *arguments)`` on all threads, each for a band of the numbers 0 .. ``count`` - 1.
 
-    The values that a kernel writes for one number, e.g. a row, must not depend on the band. Any thread may call this
-    function at any time: it runs the bands that no other thread has begun itself, so it never waits in a queue.
+    The output of a kernel for one number, e.g. a row, must not depend on the band. Any thread may call this function at
+    any time: the caller itself runs the bands that no other thread has begun, so it never waits in a queue.
     """
     n_bands = min(_threads.used, count)
     if n_bands <= 1:
@@ -156,7 +156,7 @@ def run_bands(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
     def run_one() -> None:
         try:
             band = bands.pop()
-        except IndexError:  # all have begun
+        except IndexError:  # all bands have begun
             return
         try:
             kernel(*band, *arguments)
@@ -174,15 +174,15 @@ def run_bands(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
 
 
 class CompileWatch(numba.core.event.Listener):
-    """Counts the kernels that are compiled, not those read from the cache, and the seconds that this takes.
+    """Counts compiled kernels, without kernels read from the cache, and the time of their compilation.
 
-    ``changed`` is called when the compilation of a kernel that Python calls begins, and when it has ended.
+    ``changed`` is called at the beginning and the end of the compilation of a kernel that Python calls.
     """
 
     def __init__(self, changed: Callable[[CompileWatch], None] = lambda watch: None) -> None:
-        self.kernels = 0  # those that other kernels call included
-        self.calls = 0  # kernels that Python calls, with all that they call themselves
-        self.seconds = 0.0  # of the finished compilations
+        self.kernels = 0  # all kernels, including those called by other kernels
+        self.calls = 0  # kernels that Python calls
+        self.seconds = 0.0  # time of the finished compilations
         self._changed = changed
         self._depth = 0
         self._begin = 0.0
@@ -195,7 +195,7 @@ class CompileWatch(numba.core.event.Listener):
     def on_start(self, event: Any) -> None:
         self.kernels += 1
         self._depth += 1
-        if self._depth == 1:  # a kernel that calls another one compiles it inside its own compilation
+        if self._depth == 1:  # compiling a kernel includes compiling the kernels that it calls
             self.calls += 1
             self._begin = time.perf_counter()
             self._changed(self)
@@ -218,5 +218,5 @@ _all_compiled = CompileWatch().__enter__()
 
 
 def compile_seconds() -> float:
-    """Return the seconds that this process has spent on compiling kernels so far."""
+    """Return the time that this process has spent compiling kernels, seconds."""
     return _all_compiled.seconds

@@ -1,13 +1,13 @@
-"""Vectors of 16 float32 or 32 int16 as values in kernels, for loops that the compiler does not vectorize well itself.
+"""Vectors of 16 float32 or 32 int16 as values in kernels, for loops that the compiler does not vectorize well.
 
 In a loop over a few dozen floats of several arrays, the compiler's checks whether the arrays overlap take longer than
-the arithmetic, and sums over rows are loaded and stored at every row. With these values sums stay in registers. They
-become LLVM vectors, for which LLVM emits the vector instructions of the processor.
+the arithmetic, and sums over rows are loaded and stored at every row. With vectors as values, sums stay in registers.
+The values become LLVM vectors, for which LLVM emits the processor's vector instructions.
 
-Values are made by :func:`load` and :func:`splat`, added, subtracted, multiplied and divided by the operators, and
-written by :func:`store`. Vectors of int16 and uint8, made by :func:`load_shorts`, :func:`load_like` and :func:`splat`,
-are only added and subtracted; those of uint8 stay within 0 to 255. Arrays are contiguous and of any shape; an index
-counts their elements in memory, and is not checked against their bounds.
+:func:`load` and :func:`splat` create values, the operators add, subtract, multiply and divide them, and :func:`store`
+writes them. :func:`load_shorts`, :func:`load_like` and :func:`splat` create vectors of int16 and uint8, which can only
+be added and subtracted; uint8 saturates at 0 and 255. Arrays are contiguous and have any shape. An index counts their
+elements in memory and is not checked.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ LANES = 16
 """Values in a vector of float32."""
 SHORT_LANES = 32
 """Values in a vector of int16 or uint8."""
-# As many as 8 registers of 512 bit, or of 256 bit, hold twice.
+# Two wide vectors fill 8 registers of 512 bit, or of 256 bit.
 WIDE = 64 if llvm.get_host_cpu_features().get("avx512f", False) else 32
-"""Values in a wide vector of float32, for loops that have two of them."""
+"""Values in a wide vector of float32, for loops with two of them."""
 
 _FLAGS = ("reassoc", "contract", "arcp", "nsz")  # as in all kernels
 
 
 class Lanes(types.Type):
-    """The type of ``count`` values in a vector, as numba knows it."""
+    """numba's type of a vector of ``count`` values."""
 
     def __init__(self, element: Any, count: int) -> None:
         self.vector = ir.VectorType(element, count)
@@ -58,8 +58,8 @@ class _LanesModel(models.PrimitiveModel):
 
 
 def _operation(signature: Any) -> Callable[[Any], Any]:
-    # Decorates a function (builder, *values) -> value, which becomes an operation of this signature in kernels. A
-    # signature that is None: all values have the type of the first.
+    # Return a decorator that makes a function (builder, *values) -> value an operation of this signature in kernels.
+    # Signature None: all values have the type of the first.
     def decorate(build: Any) -> Any:
         @functools.wraps(build)  # numba reads the parameters, too
         def define(typingctx, *kinds):
@@ -72,7 +72,7 @@ def _operation(signature: Any) -> Callable[[Any], Any]:
 
 
 def address(context: Any, builder: Any, kind: Any, array: Any, index: Any, vector: Any) -> Any:
-    """Return the pointer to a vector that begins at ``index`` of an array of numba's type ``kind``."""
+    """Return the pointer to a vector that begins at ``index`` of an array with numba's type ``kind``."""
     if kind.layout != "C":
         raise TypeError(f"vectors are of contiguous arrays, not of {kind}")
     data = context.make_array(kind)(context, builder, array).data
@@ -87,7 +87,7 @@ def spread(builder: Any, value: Any, vector: Any) -> Any:
 
 
 def _loader(result: Lanes) -> Any:
-    # Numbers of other types than the result's are unsigned and have fewer bits.
+    # Array elements of another type than the result's are unsigned and have fewer bits.
     def define(typingctx, array, index):
         def codegen(context, builder, signature, args):
             element, count = context.get_data_type(array.dtype), result.vector.count
@@ -112,7 +112,7 @@ load_shorts = _loader(_SHORTS)
 
 @intrinsic
 def load_like(typingctx, like, array, index):
-    """Return as many values of an array, from ``index`` on, as the vector ``like`` of their type has."""
+    """Return values of an array, from ``index`` on, as a vector of the same type as ``like``."""
 
     def codegen(context, builder, signature, args):
         place = address(context, builder, array, args[1], args[2], like.vector)
@@ -129,7 +129,7 @@ def wide_zero(builder):
 
 @intrinsic
 def splat_like(typingctx, like, value):
-    """Return a float32 ``value`` in as many lanes as the vector ``like`` of float32 has."""
+    """Return a float32 ``value`` in all lanes of a vector of the same type as ``like``."""
     return like(like, types.float32), lambda context, builder, signature, args: spread(builder, args[1], like.vector)
 
 
@@ -146,21 +146,21 @@ def scaled(typingctx, value, array, index):
 
 @_operation(None)
 def fused(builder, a, b, c):
-    """Return ``a * b + c`` of float32 lanes, rounded once where the processor can."""
+    """Return ``a * b + c`` of float32 lanes, rounded once if the processor supports it."""
     return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
 
 
 @_operation(None)
 def ordered_sum(builder, a, b):
-    """Return ``a + b`` of float32 lanes, added in the order in which it is written."""
+    """Return ``a + b`` of float32 lanes; the compiler does not reorder this addition."""
     return builder.fadd(a, b)
 
 
 @intrinsic
 def store(typingctx, array, index, value):
-    """Assign a vector to ``array[index : index + its lanes]`` of an array.
+    """Assign a vector to ``array[index : index + its lanes]``.
 
-    float32 values are stored as float32, or cut off to uint8; int16 values as int16, or their low halves as uint8;
+    float32 values are stored as float32, or truncated to uint8; int16 values as int16, or their low halves as uint8;
     uint8 values as uint8.
     """
 
@@ -197,7 +197,7 @@ def shifted_right(typingctx, value, count):
 
 @_operation(_FEW_BYTES(FLOATS))
 def as_bytes(builder, value):
-    """Return the float32 lanes of ``value``, 0 or more and less than 256, without their fractions as uint8."""
+    """Return the float32 lanes of ``value``, 0 <= value < 256, truncated to uint8."""
     return builder.trunc(builder.fptosi(value, _INTEGERS), _FEW_BYTES.vector)
 
 
@@ -267,7 +267,7 @@ def _reduction(build: Callable[[Any, Any, Any], Any]) -> Any:
     @_operation(types.float32(FLOATS))
     def reduce(builder, reduced):
         width = LANES
-        while width > 1:  # halves on halves: the same order of additions on every processor
+        while width > 1:  # halves are added: the same order on every processor
             width //= 2
             order = ir.Constant(_INTEGERS, [(k + width) % LANES for k in range(LANES)])
             reduced = build(builder, reduced, builder.shuffle_vector(reduced, reduced, order))
@@ -288,7 +288,7 @@ lane_max = _reduction(lambda builder, a, b: _chosen(builder, ">", a, b))
 def exp_minus(builder, x):
     """Return exp(-x) of x >= 0 in every lane, relative error below 1e-6; x above 80 counts as 80.
 
-    As :func:`depthcli.kernels.exponential.exp_minus`.
+    Same as :func:`depthcli.kernels.exponential.exp_minus`.
     """
 
     def constant(value: float) -> Any:
@@ -307,7 +307,7 @@ def exp_minus(builder, x):
 
 @jit
 def lane_exp_minus_16(z):
-    """Return exp(-16 z) of z >= 0 in every lane, as :func:`depthcli.kernels.exponential.exp_minus_16`."""
+    """Return exp(-16 z) of z >= 0 in every lane, like :func:`depthcli.kernels.exponential.exp_minus_16`."""
     one = splat(np.float32(1))
     z = minimum(z, one)
     power = one - z * (one - z * (splat(np.float32(0.5)) - z * splat(np.float32(1 / 6))))

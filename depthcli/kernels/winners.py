@@ -15,13 +15,13 @@ def winners(
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
     """Return the disparities of the smallest costs of the left and of the right view.
 
-    The right view's costs are the left's along diagonals, ``c_R(x, d) = c(x + d, d)``. Disparities that lead outside
-    of the other image are left out; of equal costs, that of the smaller disparity wins.
+    The right view's costs are the left view's costs along diagonals, ``c_R(x, d) = c(x + d, d)``. Disparities that lead
+    outside the other image are left out. Among equal costs, the smaller disparity wins.
 
     Parameters
     ----------
     costs : (H, W, D) uint8, uint16 or float32
-    minima : (H, W) float32, written: the left view's disparities moved by :func:`parabola_minimum`; None: not needed
+    minima : (H, W) float32 output: the left view's disparities refined by :func:`parabola_minimum`; None: not needed
 
     Returns
     -------
@@ -38,7 +38,7 @@ def winners(
 
 @jit
 def _integer_winners(begin, end, costs, left, right, minima):
-    # Cost and disparity share one 32-bit key, so that a plain minimum finds both.
+    # Cost and disparity share one 32-bit key, so that a single minimum finds both.
     _, width, n_disparities = costs.shape
     for y in range(begin, end):
         best_right = np.full(width + n_disparities, 0xFFFFFFFF, np.uint32)
@@ -60,7 +60,7 @@ def _integer_winners(begin, end, costs, left, right, minima):
 
 @jit
 def _integer_minima(costs, left, minima):
-    # parabola_minimum of the cheapest costs of a row, in a form that compiles to vector code.
+    # Write parabola_minimum of a row's winners, in a form that compiles to vector code.
     width, n_disparities = costs.shape
     around = np.zeros((3, width), np.int32)
     for x in range(width):
@@ -97,9 +97,9 @@ def _float_winners(begin, end, costs, left, right, minima):
 
 @jit
 def parabola_minimum(costs, d):
-    """Return the minimum of the parabola through ``costs[d]`` and the two beside it; ``d`` if they are no minimum.
+    """Return the minimum of the parabola through ``costs[d]`` and its two neighbors; ``d`` if ``d`` is no minimum.
 
-    Of ``costs`` (K,), those of disparities outside of the other image are left out.
+    ``costs`` (K,) contain no disparities that lead outside the other image.
     """
     if 1 <= d < costs.size - 1:
         below, lowest, above = float(costs[d - 1]), float(costs[d]), float(costs[d + 1])
@@ -111,16 +111,16 @@ def parabola_minimum(costs, d):
 
 @jit
 def partner_difference(disparity, x, right):
-    """Return ``|d - d_R|`` of a pixel in column ``x``, ``d_R`` at its match; inf if that is outside the right image.
+    """Return ``|d - d_R|`` of a pixel in column ``x``, with ``d_R`` at its match; inf if its match is outside.
 
-    ``right`` (W,) holds the right view's disparities of the pixel's row.
+    ``right`` (W,) are the right view's disparities in the pixel's row.
     """
     u = x - int(disparity + np.float32(0.5))
     return abs(np.float32(disparity) - np.float32(right[u])) if u >= 0 else np.float32(np.inf)
 
 
 def left_right_difference(left: NDArray[Any], right: NDArray[Any]) -> NDArray[np.float32]:
-    """Return ``|d - d_R|`` for every pixel: its disparity against the right view's disparity at its match.
+    """Return ``|d - d_R|`` for every pixel: the difference from the right view's disparity at its match.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def left_right_difference(left: NDArray[Any], right: NDArray[Any]) -> NDArray[np
 
     Returns
     -------
-    (H, W) float32, pixels; inf where the match lies outside the right image
+    (H, W) float32, pixels; inf if the match is outside the right image
     """
     match = np.arange(left.shape[1]) - (left + np.float32(0.5)).astype(np.intp)
     partner = np.take_along_axis(right, np.maximum(match, 0), axis=1)

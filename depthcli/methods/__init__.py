@@ -1,1 +1,1 @@
-"""Methods, arrays in and arrays out, one package per problem."""
+"""Methods on arrays, one package per problem."""

@@ -3,12 +3,12 @@
 The energy of labels x is ``sum_i U_i(x_i) + sum_{i<j} mu(x_i, x_j) sum_m w_m n_i n_j k_m(f_i, f_j)`` with Gaussian
 kernels k_m of features f and the truncated linear ``mu(l, l') = min(|l - l'|, T)``. Kernels are normalized
 symmetrically, ``n_i = (sum_j k_m(f_i, f_j))^-1/2``, so that a weight has the same effect at points with many and with
-few close points.
-One step of mean field is
+few close points. One step of mean field is
 
     Q_i(l) ~ exp(-U_i(l) - sum_l' mu(l, l') sum_m w_m sum_{j != i} n_i n_j k_m(f_i, f_j) Q_j(l'))
 
-whose inner sums over all j are Gaussian filters on a permutohedral lattice: linear in points; O(L log T) in labels.
+The inner sums over all j are Gaussian filters on a permutohedral lattice. The cost is linear in the number of points
+and O(L log T) in labels.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from depthcli.core import memory
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.lanes import LANES, exp_minus, lane_min, lane_sum, load, minimum, splat, store
 
-_TILE = 16  # points whose labels are processed together: they stay in the first-level cache
-_BLOCK = 4 * LANES  # labels that are held in registers together
-_NEVER = np.float32(1e30)  # energy of the labels that fill up a vector
+_TILE = 16  # points that are processed together: their labels stay in the first-level cache
+_BLOCK = 4 * LANES  # labels that are in registers together
+_NEVER = np.float32(1e30)  # energy of the labels that pad the last vector
 
 
 class GaussianKernel(NamedTuple):
-    """One Gaussian kernel, by which close points influence each other."""
+    """A Gaussian kernel, through which close points influence each other."""
 
     features: NDArray[np.float32]  # (N, d) float32, 1 <= d <= 8, each divided by its standard deviation
     weight: float  # factor w_m of the kernel in the energy, >= 0
@@ -39,10 +39,11 @@ class GaussianKernel(NamedTuple):
 def mean_field(
     unary: NDArray[np.float32], kernels: Sequence[GaussianKernel], truncation: int, iterations: int = 5
 ) -> NDArray[np.float32]:
-    """Return approximate marginals (N, L) of every label at every point: the same bytes at any number of threads.
+    """Return approximate marginals (N, L) of every label at every point, the same bytes for any number of threads.
 
-    Energies ``unary`` (N, L) are finite. T = 1 is Potts's model. Steps begin at softmax(-unary), which 0 steps return.
-    ValueError: features are not finite, or too many or too far apart for the lattice.
+    Energies ``unary`` (N, L) are finite. ``truncation`` is T; T = 1 is the Potts model. The first step starts from
+    softmax(-unary), the result of 0 iterations. ValueError: features are not finite, or too many or too far apart for
+    the lattice.
     """
     count, labels = unary.shape
     width = -(-labels // LANES) * LANES
@@ -50,15 +51,15 @@ def mean_field(
         unary = np.pad(unary, ((0, 0), (0, width - labels)), constant_values=_NEVER)
     kernels = [kernel for kernel in kernels if kernel.weight > 0 and iterations]
     lattices = [Lattice.of(kernel.features) for kernel in kernels]
-    # The lattices side by side, for one pass over the points: the C corners of all simplices of a point, and their
-    # weights with the normalization and the square root of the kernel's weight, so that spreading and reading with them
-    # and adding all columns gives the message; less a point's message to itself.
+    # The lattices are concatenated for one pass over the points. ``slots`` are the C corners of all simplices of a
+    # point. ``weights`` include the normalization and the square root of the kernel's weight, so that spreading,
+    # reading and adding all columns gives the message. ``own`` is a point's message to itself, to be subtracted.
     corners = sum(lattice.slots.shape[1] for lattice in lattices)
     slots: NDArray[np.int32] = memory.empty((count, corners), np.int32)
     weights: NDArray[np.float32] = memory.empty((count, corners), np.float32)
     own = np.zeros(count, np.float32)
-    # The row of every slot in arrays of all vertices, where a row of zeros follows each lattice; and (B, 2 K), the
-    # slots of a band in each of the K lattices, as first and last + 1.
+    # ``rows``: the row of every slot in arrays of all vertices, in which a row of zeros follows each lattice. ``bands``
+    # (B, 2 K): the slots of a band in each of the K lattices, as first and last + 1.
     rows, bands = [np.zeros(0, np.int32)], [np.zeros((-(-count // BAND), 0), np.int64)]
     slot = row = column = 0
     for kernel, lattice in zip(kernels, lattices, strict=True):
@@ -86,7 +87,7 @@ def mean_field(
 
 
 def _aligned(size: int) -> NDArray[np.float32]:
-    # Float32 whose first is the first of a cache line.
+    # Return an uninitialized float32 array that starts at a cache line.
     block: NDArray[np.float32] = memory.empty((size + 16,), np.float32)
     skip = -(block.ctypes.data // 4) % 16
     return block[skip : skip + size]
@@ -94,7 +95,7 @@ def _aligned(size: int) -> NDArray[np.float32]:
 
 @jit
 def _join(begin, end, slots, weights, density, share, weight, offset, column, all_slots, all_weights, own):
-    # Writes slots and normalized weights of one lattice to the columns from ``column`` on of those of all lattices.
+    # Write slots and normalized weights of one lattice to the columns of all lattices, from ``column`` on.
     for n in range(begin, end):
         scale = np.sqrt(weight / density[n])
         own[n] += share[n] * scale * scale
@@ -107,17 +108,17 @@ def _join(begin, end, slots, weights, density, share, weight, offset, column, al
 def _update(
     begin, end, unary, q, near, slots, vertex, weights, corners, own, truncation, bands, width, receive, send, partial
 ):
-    # Writes the marginals of all points to ``q``, and spreads them over the slots in ``partial`` if ``send``. They are
-    # those of the energies with the messages in ``near`` if ``receive``; else of the energies alone, softmax(-unary).
+    # Write the marginals of all points to ``q``, and spread them over the slots in ``partial`` if ``send``. They are
+    # computed from the energies and, if ``receive``, the messages in ``near``; otherwise they are softmax(-unary).
     count = own.size
-    # Rows of a tile lie one behind the other, with zeros between them for the windows that reach beyond their ends.
+    # Rows of a tile follow each other, with zeros between them for windows that reach beyond the ends of rows.
     margin = truncation - 1
     lead = -(-margin // LANES) * LANES
     stride = -(-(width + margin) // LANES) * LANES
     for b in range(begin, end):
         if send:
             _clear(partial, bands, b, width)
-        # Windows read as far behind the last row as they are long.
+        # Windows read beyond the last row by their length.
         message = np.zeros(_TILE * stride + 4 * lead + LANES, np.float32)
         once, twice = np.zeros_like(message), np.zeros_like(message)
         total = np.ones(_TILE, np.float32)
@@ -126,8 +127,8 @@ def _update(
             size = min(_TILE, stop - first)
             if receive:
                 _read(near, width, slots, vertex, weights, corners, own, q, first, size, message, lead, stride)
-                # min(|k|, T) is T less a triangle, which is a window of length T over another one. T times the sum
-                # of all messages is the same for every label of a point, and makes no difference to its marginals.
+                # min(|k|, T) is T minus a triangle, and a triangle is two windows of length T in succession. T times
+                # the sum of all messages is equal for all labels of a point, so it does not change its marginals.
                 _window(message, truncation, once)
                 _window(once, truncation, twice)
             _softmax(unary, twice, lead - margin, stride, width, first, size, once, total, q)
@@ -145,7 +146,7 @@ def _clear(partial, bands, b, width):
 
 @jit
 def _spread(tile, stride, total, slots, weights, corners, first, size, width, partial):
-    # Adds the marginals of points, the rows of a tile divided by their ``total``, to their slots.
+    # Add the marginals of points, the rows of a tile divided by their ``total``, to their slots.
     for p in range(size):
         factor = np.float32(1.0) / total[p]
         begin, at = (first + p) * corners, p * stride
@@ -167,7 +168,7 @@ def _spread(tile, stride, total, slots, weights, corners, first, size, width, pa
 
 @jit
 def _read(near, width, slots, vertex, weights, corners, own, q, first, size, message, lead, stride):
-    # Writes the messages of points to the rows of a tile: values of their vertices without their own share.
+    # Write the messages of points to the rows of a tile: values of their vertices without the points' own share.
     for p in range(size):
         begin, at, to = (first + p) * corners, (first + p) * width, lead + p * stride
         share = splat(-own[first + p])
@@ -193,8 +194,8 @@ def _read(near, width, slots, vertex, weights, corners, own, q, first, size, mes
 
 @jit
 def _window(source, length, target):
-    # target[i] = source[i] + ... + source[i + length - 1]. The window doubles once for every further binary digit of
-    # its length, and grows by one where that is 1: more additions than a running sum, but on sixteen labels at a time.
+    # target[i] = source[i] + ... + source[i + length - 1]. The window doubles for every further binary digit of its
+    # length, and grows by one if the digit is 1: more additions than a running sum, but on 16 labels at a time.
     digit = 0
     while length >> (digit + 1):
         digit += 1
@@ -215,8 +216,8 @@ def _window(source, length, target):
 
 @jit
 def _softmax(unary, gain, begin, stride, width, first, size, tile, total, q):
-    # tile = exp(smallest energy - energy) of the energies unary - gain, row by row; total = sums of the rows; q = tile
-    # divided by them.
+    # tile = exp(smallest energy - energy), with energy = unary - gain, row by row; total = sums of the rows;
+    # q = tile / total.
     for p in range(size):
         source, at = (first + p) * width, p * stride
         low = splat(np.float32(3e38))
@@ -225,7 +226,7 @@ def _softmax(unary, gain, begin, stride, width, first, size, tile, total, q):
             store(tile, at + k, energy)
             low = minimum(low, energy)
         total[p] = lane_min(low)
-    # A loop of its own: the exponentials of a point need not wait for its smallest energy.
+    # A separate loop, so that the exponentials of a point do not wait for its smallest energy.
     for p in range(size):
         at, to = p * stride, (first + p) * width
         low, sums = splat(total[p]), splat(np.float32(0.0))

@@ -1,8 +1,8 @@
-"""The permutohedral lattice: Gaussian filtering of values at scattered points of a space of few dimensions.
+"""The permutohedral lattice: Gaussian filtering of values at scattered points in a space of few dimensions.
 
-Adams, Baek and Davis, "Fast high-dimensional filtering using the permutohedral lattice" (Eurographics 2010). A point
-lies in a simplex of d + 1 lattice vertices; its values are spread over them by barycentric weights, blurred along
-the d + 1 axes of the lattice by [1 2 1], and read back by the same weights.
+Adams, Baek and Davis, "Fast high-dimensional filtering using the permutohedral lattice" (Eurographics 2010). A point is
+in a simplex of d + 1 lattice vertices. Its values are spread over them with barycentric weights, blurred along the
+d + 1 axes of the lattice by [1 2 1], and read back with the same weights.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from depthcli.core import memory
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.lanes import LANES, load, splat, store
 
-BAND = 16384  # points that one thread processes with one table of vertices, which fits into the cache
+BAND = 16384  # points per table of vertices: the table fits into the cache
 _TILE = 64  # points whose simplices are computed together: their coordinates stay in the first-level cache
 
 
@@ -24,25 +24,25 @@ _TILE = 64  # points whose simplices are computed together: their coordinates st
 class Lattice:
     """The lattice vertices around N points.
 
-    Points are divided into bands of equal length. Every band has its own *slots*, one for each of its vertices, so that
-    no two threads write to the same memory and the order of sums does not depend on the number of threads.
+    Points are divided into bands of equal length. Every band has its own *slots*, one for each of its vertices.
+    Therefore no two threads write to the same memory, and the order of sums does not depend on the number of threads.
     """
 
-    slots: NDArray[np.int32]  # (N, d + 1) int32, the vertices of a point's simplex, as slots
-    weights: NDArray[np.float32]  # (N, d + 1) float32, their barycentric weights; sum 1
+    slots: NDArray[np.int32]  # (N, d + 1) int32, slots of the vertices of a point's simplex
+    weights: NDArray[np.float32]  # (N, d + 1) float32, barycentric weights of these vertices; sum 1
     vertex: NDArray[np.int32]  # (T,) int32, vertex of every slot
     first_slot: NDArray[np.int64]  # (B + 1,) int64, slots of band b are ``first_slot[b] .. first_slot[b + 1] - 1``
-    # order, first: (T,) int32 and (V + 1,) int64, slots of vertex v are ``order[first[v] : first[v + 1]]``, ascending
+    # (T,) int32 and (V + 1,) int64: slots of vertex v are ``order[first[v] : first[v + 1]]``, ascending
     order: NDArray[np.int32]
     first: NDArray[np.int64]
-    # (d + 1, 2, V) int32, the two neighbors of a vertex along every axis; V where there is none
+    # (d + 1, 2, V) int32, the two neighbors of a vertex along every axis; V = none
     neighbors: NDArray[np.int32]
 
     @classmethod
     def of(cls, features: NDArray[np.float32]) -> Lattice:
-        """Return the lattice around points with ``features`` (N, d), d <= 8, in the Gaussian's standard deviations.
+        """Return the lattice around points with ``features`` (N, d), d <= 8, in standard deviations of the Gaussian.
 
-        ValueError: features are not finite, or span more lattice cells than 63 bits can number (more than some hundred
+        ValueError: features are not finite, or span more lattice cells than 63 bits can number (more than a few hundred
         standard deviations along each of six axes).
         """
         count, d = features.shape
@@ -50,7 +50,7 @@ class Lattice:
         low, high = (features.min(axis=0), features.max(axis=0)) if count else np.zeros((2, d), np.float32)
         if not (np.isfinite(low) & np.isfinite(high)).all():
             raise ValueError("features must be finite")
-        # With these, splatting, blurring and slicing together are a Gaussian of standard deviation 1 (section 3).
+        # With these scales, splatting, blurring and slicing are a Gaussian of standard deviation 1 (section 3).
         i = np.arange(d)
         scales = np.sqrt(2.0 / 3.0) * (d + 1) / np.sqrt((i + 1.0) * (i + 2.0))
         shifts = _bits(low * scales, high * scales)
@@ -58,7 +58,7 @@ class Lattice:
         weights: NDArray[np.float32] = memory.empty((count, d + 1), np.float32)
         sizes = np.zeros(bands, np.int64)
         capacity = 8192
-        while True:  # a band with more vertices than there is room for gives their number, and all begin again
+        while True:  # repeat with more room if a band has more vertices than ``capacity``
             keys = np.empty((max(bands, 1), capacity), np.uint64)
             run_bands(_embed, sizes.size, features, scales, shifts, BAND, slots, weights, keys, sizes)
             if bands == 0 or sizes.max() <= capacity:
@@ -83,9 +83,10 @@ class Lattice:
     def own_share(self, density: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the weight of every point's own value in its filtered value, (N,) float32.
 
-        Two vertices of one simplex, k steps apart in it, lie one step back along k axes, or one step forward along
-        all others; this gives the product of the blur's factors if all vertices between exist. Whether they do is
-        looked up only where the share is above a twentieth of ``density`` (N,), the filter's response to ones.
+        Two vertices of a simplex that are k steps apart are one step back along k axes, or one step forward along all
+        others. If all vertices between them exist, the blur's factors along these paths give the share. Missing
+        vertices are looked up only if the share is above a twentieth of ``density`` (N,), the filter's response to
+        ones.
         """
         d = self.slots.shape[1] - 1
         steps = np.arange(d + 1)
@@ -100,7 +101,7 @@ class Lattice:
         return result
 
     def filter(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return (N, C) float32 ``values`` blurred by a Gaussian whose value at distance 0 is about ``1 + 2^-d``."""
+        """Return (N, C) float32 ``values``, blurred by a Gaussian with value about ``1 + 2^-d`` at distance 0."""
         width = -(-values.shape[1] // LANES) * LANES
         sizes = (self.vertex.size, self.vertices + 1, self.vertices + 1)
         partial, near, far = (memory.empty((rows * width,), np.float32) for rows in sizes)
@@ -117,9 +118,9 @@ class Lattice:
 def blur(
     lattice: Lattice, width: int, partial: NDArray[np.float32], near: NDArray[np.float32], far: NDArray[np.float32]
 ) -> None:
-    """Add up the T rows of values in slots by vertex, blur them, and write them to the V + 1 rows of ``near``.
+    """Sum the T rows of values in slots by vertex, blur the sums, and write them to the V + 1 rows of ``near``.
 
-    The last row becomes 0, the values of no vertex. ``far`` is scratch memory of the same size.
+    The last row becomes 0, for missing vertices. ``far`` is scratch memory of the same size.
     """
     steps = len(lattice.neighbors)
     source, target = (near, far) if steps % 2 == 0 else (far, near)
@@ -135,13 +136,14 @@ def blur(
 
 
 def _bits(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.int64]:
-    # (d, 2) int64: offset and bit position of every coordinate in a vertex's key. A vertex is (d + 1) q + r, with the
-    # same r in all coordinates, which sum to 0: it is determined by r and q of the first d coordinates. r takes 4 bits.
+    # Return offset and bit position of every coordinate in a vertex's key, (d, 2) int64. A vertex is (d + 1) q + r,
+    # with the same r in all coordinates. Its coordinates sum to 0, so r and q of the first d coordinates determine it.
+    # r takes 4 bits.
     d = low.size
     shifts = np.empty((d, 2), np.int64)
     at = 4
     for i in range(d):
-        # Coordinate i is the sum of features i, i + 1, ... less i times feature i - 1.
+        # Coordinate i is the sum of features i, i + 1, ... minus i times feature i - 1.
         lower, upper = low[i:].sum(), high[i:].sum()
         if i:
             lower, upper = lower - i * high[i - 1], upper - i * low[i - 1]
@@ -155,7 +157,7 @@ def _bits(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.int
 
 @jit
 def _find(table, place, key):
-    # Position of ``key`` in an open-addressed hash table, or of the free cell where it belongs.
+    # Return the position of ``key`` in an open-addressed hash table, or the free cell for it.
     mask = np.uint64(table.size - 1)
     h = key * np.uint64(0x9E3779B97F4A7C15)
     at = (h ^ (h >> np.uint64(29))) & mask
@@ -166,7 +168,7 @@ def _find(table, place, key):
 
 @jit
 def _steps(shifts):
-    # What a key changes by along every axis, and in addition where the last coordinate wraps around.
+    # Return the change of a key along every axis, and the additional change when the remainder wraps around.
     d = shifts.shape[0]
     steps = np.ones(d + 1, np.uint64)
     wrap = -np.uint64(d + 1)
@@ -178,8 +180,9 @@ def _steps(shifts):
 
 @jit
 def _embed(begin, end, features, scales, shifts, band, slots, weights, keys, sizes):
-    # Find the simplex of every point: write its vertices, as slots that count from 0 in every band, and its barycentric
-    # weights; ``keys`` gets the vertices' keys, ``sizes`` their number per band, right even without room for all keys.
+    # Find the simplex of every point. Write its vertices, as slots that count from 0 in every band, and its barycentric
+    # weights. ``keys`` receives the vertices' keys, and ``sizes`` their number per band. If there is no room for all
+    # keys of a band, its size is at least the room that the next try needs.
     count, d = features.shape
     size = d + 1
     for b in range(begin, end):
@@ -226,7 +229,7 @@ def _embed(begin, end, features, scales, shifts, band, slots, weights, keys, siz
                     cell = _find(table, place, key)
                     if place[cell] < 0:
                         if 2 * n_vertices >= capacity:
-                            # Only the count matters now: it is the room that the next try needs.
+                            # Only the count matters now, as the room that the next try needs.
                             n_vertices += 1
                             continue
                         table[cell] = key
@@ -240,9 +243,9 @@ def _embed(begin, end, features, scales, shifts, band, slots, weights, keys, siz
 
 @jit
 def _nearest(elevated, base, rest, rank, off):
-    # The vertex of remainder 0 of every point's simplex is ``base`` times d + 1: the nearest point whose coordinates
-    # are multiples of d + 1, after some moved by one where their sum is not 0. ``rest`` is the residual in units of
-    # d + 1, ``rank`` its rank among the coordinates, ``off`` scratch.
+    # The vertex with remainder 0 of every point's simplex is ``base`` times d + 1. It is the nearest point whose
+    # coordinates are multiples of d + 1; if their sum is not 0, some coordinates are moved by one multiple. ``rest`` is
+    # the residual in units of d + 1, ``rank`` its rank among the coordinates, ``off`` scratch.
     size = elevated.shape[0]
     part, max_rank = 1.0 / size, np.float64(size - 1)
     off[:] = 0.0
@@ -294,7 +297,7 @@ def _merge_vertices(keys, sizes, vertex, own, first_slot):
 
 @jit
 def _find_neighbors(begin, end, own, table, place, shifts, neighbors):
-    # Write the two neighbors of every vertex along every axis; the number of vertices stands for none.
+    # Write the two neighbors of every vertex along every axis; the number of vertices = none.
     axes, _, vertices = neighbors.shape
     steps, wrap = _steps(shifts)
     none = np.uint64(0)
@@ -356,8 +359,8 @@ def _compute_own_share(begin, end, slots, vertex, weights, neighbors, factors, d
 
 @jit
 def _response(slots, vertex, neighbors, start, stop, turn):
-    # Response of the blur at one vertex of a simplex to another one. The path takes one step along each axis between
-    # the two, plus ``turn`` steps along every axis, which cancel.
+    # Return the response of the blur at one vertex of a simplex to another vertex. The path takes one step along each
+    # axis between the two, plus ``turn`` steps along every axis, which cancel.
     axes = neighbors.shape[0]
     at = vertex[slots[start]]
     low, high, sign = (start, stop, 1) if start < stop else (stop, start, -1)

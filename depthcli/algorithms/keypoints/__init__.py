@@ -16,12 +16,12 @@ from depthcli.core.method import Method, method_of
 class KeyPoints:
     """Key points of one image, strongest first."""
 
-    # x, y: (N,) float32 position, pixels; the center of the first pixel is (0, 0)
+    # (N,) float32 position, pixels; the center of the first pixel is (0, 0)
     x: NDArray[np.float32]
     y: NDArray[np.float32]
     scale: NDArray[np.float32]  # (N,) float32 standard deviation of the blob's Gaussian, pixels
-    response: NDArray[np.float32]  # (N,) float32 strength, in a unit of the detector
-    # (N,) int8 +1 for dark blobs on light ground, -1 for the reverse, 0 where the detector does not distinguish
+    response: NDArray[np.float32]  # (N,) float32 strength, in the detector's unit
+    # (N,) int8 +1 for dark blobs on a light background, -1 for the reverse, 0 if the detector does not distinguish them
     sign: NDArray[np.int8]
     descriptors: NDArray[np.float32]  # (N, K) float32, rows of length 1
 
@@ -34,7 +34,7 @@ class Detector(Method):
 
     @abstractmethod
     def __call__(self, image: NDArray[np.uint8]) -> KeyPoints:
-        """Return the key points of an (H, W) uint8 grey image; deterministic, possibly none."""
+        """Return the key points of an (H, W) uint8 grey image, possibly none; deterministic."""
 
 
 Detection = Annotated[Detector, *method_of("depthcli.algorithms.keypoints")]

@@ -11,7 +11,7 @@ from depthcli.algorithms.keypoints import Detector, KeyPoints
 
 
 class Sift(Detector):
-    """OpenCV's SIFT, with orientation; the alternative to ``surf``."""
+    """OpenCV's SIFT, with orientation: the alternative to ``surf``."""
 
     contrast_threshold: float = Field(0.04, gt=0, le=1, description="smallest contrast of an extremum, OpenCV's unit")
     edge_threshold: float = Field(10.0, ge=1, le=1e4, description="largest ratio of the principal curvatures")

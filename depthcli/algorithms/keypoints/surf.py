@@ -17,8 +17,8 @@ class Surf(Detector):
     """Detect blobs by box-filtered Hessians on integral images and describe them by Haar responses, without rotation.
 
     In a rectified pair the orientation of a point would only add noise. The 64 numbers of a descriptor are the sums of
-    dx, |dx|, dy and |dy| over 4 x 4 overlapping cells (Agrawal, Konolige and Blas, ECCV 2008), which change less than
-    those of disjoint cells when a point is displaced a little.
+    dx, |dx|, dy and |dy| over 4 x 4 overlapping cells (Agrawal, Konolige and Blas, ECCV 2008). If a point moves a
+    little, these sums change less than sums over disjoint cells.
     """
 
     threshold: float = Field(5e-6, gt=0, le=1, description="smallest Hessian determinant, image values in [0, 1]")
@@ -26,19 +26,19 @@ class Surf(Detector):
 
     def __call__(self, image: NDArray[np.uint8]) -> KeyPoints:
         grey = np.ascontiguousarray(image, dtype=np.float32) / np.float32(255)
-        # Zero mean keeps the sums small, so that differences of them stay exact enough.
+        # Zero mean keeps the sums small and their differences exact enough.
         integral = np.ascontiguousarray(cv2.integral(grey - grey.mean(), sdepth=cv2.CV_64F))
         points = np.concatenate([self._octave(integral, k) for k in range(self.octaves)])
         points = points[np.lexsort((points[:, 2], points[:, 0], points[:, 1], -points[:, 3]))]
         descriptors = np.zeros((len(points), 64), np.float32)
         if len(points):
-            margin = 2 + int(13 * points[:, 2].max())  # boxes of a descriptor may be partly outside of the image
+            margin = 2 + int(13 * points[:, 2].max())  # boxes of a descriptor may extend beyond the image
             run_bands(_describe, len(points), np.pad(integral, margin, "edge"), margin, points, descriptors)
         x, y, scale, response, sign = points.T.copy()
         return KeyPoints(x, y, scale, response, sign.astype(np.int8), descriptors)
 
     def _octave(self, integral: NDArray[np.float64], octave: int) -> NDArray[np.float32]:
-        # Key points (N, 5) float32 of one octave: x, y, scale, response, sign.
+        # Return the key points of one octave, (N, 5) float32: x, y, scale, response, sign.
         step = 1 << octave
         sizes = [3 * ((2 << octave) * (layer + 1) + 1) for layer in range(_LAYERS)]  # 9, 15, 21, 27 in octave 0
         height, width = integral.shape[0] - 1, integral.shape[1] - 1
@@ -56,14 +56,14 @@ class Surf(Detector):
 
 @jit
 def _box(integral, y, x, height, width):
-    # Sum of the pixels [y, y + height) x [x, x + width), which are inside: unsigned indices are not wrapped around.
+    # Sum of the pixels [y, y + height) x [x, x + width), which are inside. Unsigned indices save the wraparound.
     y0, x0, y1, x1 = np.uint64(y), np.uint64(x), np.uint64(y + height), np.uint64(x + width)
     return integral[y1, x1] - integral[y0, x1] - integral[y1, x0] + integral[y0, x0]
 
 
 @jit
 def _hessian(begin, end, integral, step, size, responses, signs):
-    # Determinant of the box-filter Hessian, normalized by the filter's area; 0 where the filter does not fit.
+    # Write the determinant of the box-filter Hessian, normalized by the filter's area; 0 if the filter does not fit.
     height, width = integral.shape[0] - 1, integral.shape[1] - 1
     lobe, half = size // 3, size // 2
     area = 1.0 / (size * size)
@@ -93,7 +93,7 @@ def _hessian(begin, end, integral, step, size, responses, signs):
 
 @jit
 def _find_peaks(begin, end, responses, threshold, peaks):
-    # Maxima over 3 x 3 x 3 cells.
+    # Select maxima over 3 x 3 x 3 cells.
     layers, _, columns = responses.shape
     for j in range(begin + 1, end + 1):
         for k in range(1, layers - 1):
@@ -103,7 +103,7 @@ def _find_peaks(begin, end, responses, threshold, peaks):
 
 @jit
 def _located(responses, signs, peaks, step, first_size, size_step):
-    # The (N, 3) peaks, moved to those of the parabolas through the cells around.
+    # Return key points at the (N, 3) peaks, moved to the peak of the parabola through the cells around.
     points = np.empty((len(peaks), 5), np.float32)
     count = 0
     for k, j, i in peaks:
@@ -126,7 +126,7 @@ def _is_peak(responses, k, j, i):
         for dj in range(-1, 2):
             for di in range(-1, 2):
                 other = responses[k + dk, j + dj, i + di]
-                # Of equal cells the first in memory is the peak.
+                # If cells are equal, the first in memory is the peak.
                 earlier = dk < 0 or (dk == 0 and (dj < 0 or (dj == 0 and di < 0)))
                 if other > value or (other == value and earlier):
                     return False
@@ -135,7 +135,7 @@ def _is_peak(responses, k, j, i):
 
 @jit
 def _offset(r, k, j, i):
-    # Peak of the second-order Taylor polynomial around a cell, in cells; 9 where there is none.
+    # Return the peak of the second-order Taylor polynomial around a cell, in cells; 9 if there is none.
     gx = 0.5 * (r[k, j, i + 1] - r[k, j, i - 1])
     gy = 0.5 * (r[k, j + 1, i] - r[k, j - 1, i])
     gk = 0.5 * (r[k + 1, j, i] - r[k - 1, j, i])
@@ -164,7 +164,7 @@ def _offset(r, k, j, i):
 
 @jit
 def _describe(begin, end, integral, margin, points, descriptors):
-    # (N, 64) from 24 x 24 Haar responses at the point's scale, in 4 x 4 cells of 9 x 9.
+    # Write (N, 64) descriptors, from 24 x 24 Haar responses at the point's scale, in 4 x 4 cells of 9 x 9.
     inner = np.empty((9, 9), np.float32)
     for j in range(9):
         for i in range(9):
@@ -198,7 +198,7 @@ def _describe(begin, end, integral, margin, points, descriptors):
                     dy += v
                     ax += abs(h)
                     ay += abs(v)
-            # Cells far from the point count less.
+            # Cells far from the point have less weight.
             v, h = cell // 4 - 1.5, cell % 4 - 1.5
             weight = np.float32(np.exp((v * v + h * h) / -4.5))
             out[4 * cell] = weight * dx

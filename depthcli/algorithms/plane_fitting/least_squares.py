@@ -1,6 +1,6 @@
 """Kernels that all robust fits share: weights of residuals, moments of weighted samples, solvers of normal equations.
 
-They are inlined, so that they work on scalars and on the lanes of a vectorized loop alike.
+They are inlined, so that they serve scalar and vectorized loops.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 from depthcli.kernels.jit import jit
 
 MAD_TO_SIGMA = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
+"""Standard deviation / median absolute deviation of a normal distribution."""
 
 
 @jit
@@ -29,7 +29,7 @@ def huber_weight(residual, limit):
 def plane_slopes(xx, xy, yy, xd, yd, determinant):
     """Return the slopes (a, b) of ``d = a x + b y + c`` by Cramer's rule, from second moments about the means.
 
-    The caller makes sure that the determinant, ``xx * yy - xy * xy``, is not 0.
+    The caller ensures that the determinant, ``xx * yy - xy * xy``, is not 0.
     """
     return (xd * yy - yd * xy) / determinant, (yd * xx - xd * xy) / determinant
 
@@ -57,8 +57,8 @@ def plane_moments(x, y, d, weights):
 def solve_cholesky(matrix, right, terms, solution):
     """Write the ``solution`` of normal equations by Cholesky's method; return False if the system is singular.
 
-    The first ``terms`` unknowns are solved for. Only the lower half of ``matrix`` is read; it is overwritten. Singular
-    is a system with a pivot below 1e-8 of its diagonal element.
+    Only the first ``terms`` unknowns are computed. Only the lower half of ``matrix`` is read; it is overwritten. A
+    system is singular if a pivot is not above 1e-8 of its diagonal element.
     """
     for i in range(terms):
         diagonal = matrix[i, i]

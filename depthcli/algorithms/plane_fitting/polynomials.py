@@ -13,27 +13,27 @@ from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA, huber_
 from depthcli.algorithms.regions import RegionPixels
 from depthcli.kernels.jit import jit, run_bands
 
-# Values that refine-kinect dsrm was published with; nothing in the repository varies them.
-_MIN_PLANE_PIXELS, _MIN_QUADRIC_PIXELS = 30, 100  # known pixels from which a surface has degree 1, 2
-_CONVERGED = 0.05  # a surface that moves by less than this share of the floor of the scale is final
-_GOLDEN_RATIO = 0.6180339887498949  # its multiples modulo 1 are the most evenly spread
-_SCALE_SAMPLES = 100  # residuals that the scale is estimated from
+# Values of the published preset refine-kinect dsrm; nothing in the repository varies them.
+_MIN_PLANE_PIXELS, _MIN_QUADRIC_PIXELS = 30, 100  # smallest numbers of known pixels for degrees 1 and 2
+_CONVERGED = 0.05  # a surface that moves by less than this share of the scale's floor has converged
+_GOLDEN_RATIO = 0.6180339887498949  # its multiples modulo 1 are evenly spread
+_SCALE_SAMPLES = 100  # number of residuals for the estimate of the scale
 
 
 @dataclass(frozen=True)
 class Surfaces:
-    """One surface for each of n segments, in the unit of the values it was fitted to."""
+    """One surface for each of n segments, in the unit of the fitted values."""
 
-    # (n, 6) float64 of 1, x, y, x^2, xy, y^2, where x and y are pixels from ``center`` over ``unit``
+    # (n, 6) float64, for 1, x, y, x^2, xy, y^2, with x and y in pixels from ``center``, divided by ``unit``
     coefficients: NDArray[np.float64]
     center: NDArray[np.float64]  # (n, 2) float64, y and x, pixels
-    # (n, 2) float32, smallest and largest value of the surface; values beyond them are clipped
+    # (n, 2) float32, smallest and largest value of the surface; values are clipped to them
     bounds: NDArray[np.float32]
-    scale: NDArray[np.float32]  # (n,) float32, robust standard deviation of the residuals; NaN where nothing was known
-    unit: float  # length that x and y are divided by, pixels
+    scale: NDArray[np.float32]  # (n,) float32, robust standard deviation of the residuals; NaN if no pixel was known
+    unit: float  # unit of x and y, pixels
 
     def at(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
-        """Return, at every pixel, the value of the surface of its label; (H, W) float32, NaN for negative labels."""
+        """Return the value of each pixel's surface, given its label; (H, W) float32, NaN for negative labels."""
         values = np.empty(labels.shape, np.float32)
         run_bands(_evaluate, len(labels), labels, self.coefficients, self.center, self.bounds, self.unit, values)
         return values
@@ -41,7 +41,7 @@ class Surfaces:
 
 @jit
 def surface_at(coefficients, center, bounds, unit, s, y, x):
-    """Return the value of surface ``s`` at (y, x), given the arrays of :class:`Surfaces`; for other kernels."""
+    """Return the value of surface ``s`` at (y, x), given the arrays of :class:`Surfaces`."""
     u = (x - center[s, 1]) / unit
     v = (y - center[s, 0]) / unit
     value = (
@@ -78,12 +78,12 @@ def fit_polynomials(
     ----------
     values : (H, W), NaN = unknown
     labels : (H, W), 0 .. n - 1; -1: in no segment
-    start : n initial surfaces, or None; a segment with fewer than 30 known pixels keeps one that was already fitted
-    degree : largest degree; at most 1 in segments of fewer than 100 known pixels, 0 in those of fewer than 30
+    start : n initial surfaces, or None; a segment with fewer than 30 known pixels keeps its fitted initial surface
+    degree : largest degree; segments with fewer than 100 known pixels have at most 1, with fewer than 30 always 0
     huber : a residual of u > huber scales has the weight huber / u; inf: plain least squares
-    iterations, warm_iterations : largest number of reweightings of a new surface, and of an initial one
-    samples : largest number of pixels per segment that are used, evenly spaced
-    floor : smallest scale of residuals, such as the resolution of the sensor
+    iterations, warm_iterations : largest number of reweightings for a new surface, and for an initial one
+    samples : largest number of pixels used per segment, evenly spread
+    floor : smallest scale of residuals, e.g. the sensor's resolution
     """
     if start is None:
         count, nan = int(labels.max()) + 1, np.float32(np.nan)
@@ -115,14 +115,14 @@ def _fit(
 
 @jit
 def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iterations, floor, samples):
-    # Fits ``beta`` (6,), ``center`` (2,) and ``bounds`` (2,) in place; returns the scale of the residuals.
+    # Fit ``beta`` (6,), ``center`` (2,) and ``bounds`` (2,) in place; return the scale of the residuals.
     width = values.shape[1]
     total = pixels.size
     n = min(total, samples)
     z, u, v = np.empty(n), np.empty(n), np.empty(n)
     residuals, scratch, weights = np.empty(n), np.empty(n), np.empty(n)
     low, high, far_u, far_v = np.inf, -np.inf, 0.0, 0.0
-    for k in range(n):  # one of each n-th of the pixels, not the first: in a rectangle these could be one column
+    for k in range(n):  # one pixel of each n-th part; in a rectangle, the first of each could form a column
         first, end = k * total // n, (k + 1) * total // n
         p = pixels[first + int((end - first) * (k * _GOLDEN_RATIO % 1.0))]
         y, x = p // width, p % width
@@ -150,17 +150,17 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
     spread = np.inf
     for _ in range(iterations):
         _residuals(z, u, v, beta, residuals)
-        # The scale only falls: one that grew with the residuals would let outliers pull the surface further.
+        # The scale only falls. A scale that grew with the residuals would let outliers pull the surface further.
         spread = min(spread, _spread(residuals, scratch, floor))
         limit = huber * spread
         for k in range(n):
             weights[k] = huber_weight(residuals[k], limit)
         _normal_equations(z, u, v, weights, terms, normal, right)
-        if not least_squares.solve_cholesky(normal, right, terms, new):  # the pixels lie on a line
+        if not least_squares.solve_cholesky(normal, right, terms, new):  # the pixels are on a line
             terms = 3 if terms == 6 else 1
             beta[terms:] = 0
             continue
-        change = 0.0  # of the surface, anywhere in the segment, at most
+        change = 0.0  # upper limit of the surface's change anywhere in the segment
         for i in range(terms):
             change += abs(new[i] - beta[i]) * extent[i]
             beta[i] = new[i]
@@ -172,7 +172,7 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
 
 @jit
 def _normal_equations(z, u, v, weights, terms, normal, right):
-    # Lower half of sum w b b' and sum w b z over the pixels' basis b = (1, u, v, u^2, uv, v^2).
+    # Write the lower half of sum w b b', and sum w b z, for the basis b = (1, u, v, u^2, uv, v^2).
     w0, wu, wv, wz, wuu, wuv, wvv, wuz, wvz = least_squares.plane_moments(u, v, z, weights)
     normal[0, 0], normal[1, 0], normal[2, 0] = w0, wu, wv
     normal[1, 1], normal[2, 1], normal[2, 2] = wuu, wuv, wvv
@@ -202,7 +202,7 @@ def _residuals(z, u, v, beta, out):
 
 @jit
 def _spread(residuals, scratch, floor):
-    # Standard deviation by the median absolute deviation of evenly spread residuals, at least ``floor``.
+    # Return the standard deviation, from the median absolute deviation of evenly spread residuals, at least ``floor``.
     n = residuals.size
     count = min(n, _SCALE_SAMPLES)
     sample = scratch[:count]

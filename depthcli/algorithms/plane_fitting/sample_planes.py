@@ -1,4 +1,4 @@
-"""Planes through scattered, partly wrong samples: at every pixel, through those nearest samples that agree."""
+"""Planes through scattered samples with outliers: at every pixel, a plane through the nearest samples that agree."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Pixels = tuple[NDArray[np.int32], NDArray[np.int32]]
 class Samples:
     """Values at M pixels of a map."""
 
-    # rows, columns: (M,) int32
+    # (M,) int32
     rows: NDArray[np.int32]
     columns: NDArray[np.int32]
     values: NDArray[np.float32]  # (M,) float32
@@ -37,19 +37,19 @@ class Samples:
         return Samples(self.rows[keep], self.columns[keep], self.values[keep])
 
     def distance(self, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Return, for a map of ``shape`` (H, W), the distance of every pixel from the nearest sample, pixels."""
+        """Return the distance of every pixel of a map of ``shape`` (H, W) from the nearest sample, pixels."""
         blank = np.ones(shape, np.uint8)
         blank[self.rows, self.columns] = 0
         return np.asarray(cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)
 
     def nearest(self, at: Pixels, count: int, shape: tuple[int, int], skip_own: bool = False) -> NDArray[np.int32]:
-        """Return the (P, count) indices of the samples nearest to each pixel of a map of ``shape``, nearest first.
+        """Return the (P, count) indices of the samples nearest to the pixels ``at`` of a map of ``shape``.
 
-        Ties are in the order of the samples; -1 stands in the last columns where there are fewer. ``skip_own`` leaves
-        out a sample that lies on the pixel itself.
+        The nearest is first; ties are in the order of the samples. If there are fewer samples, the last columns are -1.
+        ``skip_own`` leaves out a sample at the pixel itself.
         """
         height, width = shape
-        # Cells that hold about two samples each.
+        # Cells with about two samples each.
         side = max(1, int(np.sqrt(2.0 * height * width / max(1, self.rows.size))))
         across, down = -(-width // side), -(-height // side)
         cell = (self.rows // side).astype(np.int64) * across + self.columns // side
@@ -65,18 +65,18 @@ class Samples:
 class SamplePlanes:
     """Planes through samples, evaluated at P pixels; all (P,) float32."""
 
-    values: NDArray[np.float32]  # in the unit of the samples; NaN where there is no sample
-    # standard deviation of the values: that of the plane at the pixel together with that of the surface from it
+    values: NDArray[np.float32]  # in the unit of the samples; NaN if there is no sample
+    # standard deviation of the values: deviations of the plane, and of the surface from the plane, in quadrature
     sigma: NDArray[np.float32]
-    confidence: NDArray[np.float32]  # weighted share in [0, 1] of the neighboring samples that lie on the plane
-    # weighted mean over these samples of the property that was given to be averaged; else 0
+    confidence: NDArray[np.float32]  # weighted share in [0, 1] of the neighboring samples that agree with the plane
+    # weighted mean of the property ``to_average`` over the agreeing samples; 0 without such a property
     averaged: NDArray[np.float32]
 
 
 class SamplePlaneFit(ConfigModel):
     """Fit a plane at a pixel to the nearest samples of similar color that agree with each other, by Tukey's biweight.
 
-    The fit starts at the sample with which samples of the largest total weight agree; slopes have a Gaussian prior.
+    The fit starts at the sample that agrees with samples of the largest total weight. Slopes have a Gaussian prior.
     """
 
     neighbors: int = Field(24, ge=3, le=64, description="number of nearest samples that a plane is fitted to")
@@ -103,8 +103,8 @@ class SamplePlaneFit(ConfigModel):
         ----------
         image : (H, W, 3) uint8
         noise : standard deviation of good samples, in the unit of their values
-        skip_own : leave out a sample on the pixel itself
-        to_average : a property of the M samples, of which the result holds means
+        skip_own : leave out a sample at the pixel itself
+        to_average : property of the M samples for the means in ``averaged``
         """
         shape = image.shape[0], image.shape[1]
         nearest = samples.nearest(at, self.neighbors, shape, skip_own)
@@ -170,7 +170,7 @@ def _fit(
 
 @jit
 def _start(dx, dy, v, w, noise, slope):
-    # The value of the sample that the largest weight agrees with, and the standard deviation of slopes at its depth.
+    # Return the value of the sample that the largest weight agrees with, and the standard deviation of slopes there.
     best = np.float32(-1.0)
     start = v[0]
     two = np.float32(2.0)
@@ -188,7 +188,7 @@ def _start(dx, dy, v, w, noise, slope):
 
 @jit
 def _plane(dx, dy, v, w, m, total, noise, steep, start, steps):
-    # Value at the pixel, its standard deviation, the weighted share of inliers and their mean mark.
+    # Return the value at the pixel, its standard deviation, the weighted share of inliers and their mean mark.
     a, b, c = start, np.float32(0.0), np.float32(0.0)
     variance = np.float32(1.0)
     # Gaussian prior of slopes, in units of one sample's noise.
@@ -254,9 +254,9 @@ def _nearest(begin, end, rows, columns, order, first, side, across, down, at_row
                         far = dy * dy + dx * dx
                         if skip_own and far == 0:
                             continue
-                        # Distance and index in one number, so that ties have an order.
+                        # Distance and index in one number, so that the order of ties is defined.
                         have = _insert(best, have, (far << np.int64(31)) | np.int64(order[s]))
-            # Whatever lies in a further ring is at least this far away.
+            # Samples in further rings are at least this far away.
             reach = np.int64(
                 ring * side
                 + min(min(y - cy * side, cy * side + side - 1 - y), min(x - cx * side, cx * side + side - 1 - x))

@@ -14,12 +14,12 @@ from depthcli.algorithms.regions import RegionPixels
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import jit, n_threads, run_bands
 
-# Choices of this program; nothing in the repository varies them.
-_SAMPLED_PIXELS = 2000  # RANSAC planes of larger segments are judged by about so many pixels
-_MIN_CROSS = 0.5  # three pixels that span less than this many square pixels determine no plane
+# Chosen by hand; nothing in the repository varies them.
+_SAMPLED_PIXELS = 2000  # in larger segments, the misfit of a RANSAC plane is computed from about this many pixels
+_MIN_CROSS = 0.5  # smallest cross product of three pixels that determine a plane, square pixels
 _REFITS = 5  # largest number of least squares after RANSAC
-_MIN_WORK = 100  # of a segment, in pixels: picking samples takes time, too
-_LANES = 32  # RANSAC planes that are judged at once; the result does not depend on it
+_MIN_WORK = 100  # constant work of a segment, in pixels: drawing samples takes time, too
+_LANES = 32  # RANSAC planes that are tested at once; the result does not depend on it
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class SegmentPlanes:
     """Disparity planes ``d = a x + b y + c``."""
 
     coefficients: NDArray[np.float64]  # (L, 3) float64 a, b, c
-    support: NDArray[np.int64]  # (L,) int64 pixels within the tolerance of the plane where it was fitted
-    center: NDArray[np.float64]  # (L, 2) float64 mean x and y of those pixels
+    support: NDArray[np.int64]  # (L,) int64 number of inliers: pixels of the segment within the tolerance
+    center: NDArray[np.float64]  # (L, 2) float64 mean x and y of the inliers
 
     def __len__(self) -> int:
         return len(self.support)
@@ -48,8 +48,8 @@ class SegmentPlanes:
         """Return at most ``max_planes`` planes without near-duplicates, the best supported ones first.
 
         A plane is a near-duplicate of a better supported one if their slopes differ by at most ``slope_tolerance`` and
-        their disparities at its own center by at most ``offset_tolerance`` pixels. The second result is, for every
-        plane, the index of the returned one that replaces it; -1 for none.
+        their disparities at its center by at most ``offset_tolerance`` pixels. The second result is, for every plane,
+        the index of the returned plane that replaces it; -1 if there is none.
         """
         order = np.argsort(-self.support, kind="stable")
         by_support = self[order]
@@ -59,7 +59,7 @@ class SegmentPlanes:
         return by_support[kept], representative[np.argsort(order)]
 
     def at(self, choice: NDArray[np.int32], max_disparity: float) -> NDArray[np.float32]:
-        """Return, at every pixel, the value of the plane with the index ``choice`` (H, W); (H, W) float32, pixels.
+        """Return the value of the plane ``choice`` (H, W), an index, at every pixel; (H, W) float32, pixels.
 
         Values are limited to [0, ``max_disparity``].
         """
@@ -85,8 +85,8 @@ class SegmentPlaneFit(ConfigModel):
     def __call__(self, values: NDArray[np.float32], members: RegionPixels, chosen: NDArray[np.int64]) -> SegmentPlanes:
         """Fit one plane to each of the segments ``chosen`` (K,), none of which is empty.
 
-        Where no three of the ``members`` define a plane with an allowed slope, that is the flat plane at the median of
-        the ``values`` (H, W).
+        If no three of the ``members`` define a plane with an allowed slope, the plane is flat, at the median of the
+        ``values`` (H, W).
         """
         planes = SegmentPlanes(np.zeros((len(chosen), 3)), np.zeros(len(chosen), np.int64), np.zeros((len(chosen), 2)))
         sizes, tasks = members.sizes[chosen], n_threads()
@@ -97,14 +97,14 @@ class SegmentPlaneFit(ConfigModel):
         return planes
 
     def constant(self, values: NDArray[np.float32], members: RegionPixels, chosen: NDArray[np.int64]) -> SegmentPlanes:
-        """Return, for each of the segments ``chosen`` (K,), the flat plane at its median disparity."""
+        """Return the flat plane at the median disparity of each of the segments ``chosen`` (K,)."""
         flat: dict[str, Any] = {"trials": 0, "max_slope": 0.0, "flatness": 0.0}
         return self.model_copy(update=flat)(values, members, chosen)
 
 
 @jit
 def _shares(largest_first, sizes, count):
-    # The (K,) numbers 0 .. count - 1 of the tasks that fit the segments: each goes to that with the least work so far.
+    # Return the task, 0 .. count - 1, of each segment, (K,): a segment goes to the task with the least work so far.
     share, work = np.empty(sizes.size, np.int64), np.zeros(count, np.int64)
     for k in largest_first:
         share[k] = np.argmin(work)
@@ -134,7 +134,7 @@ def _fit(begin, end, values, order, starts, chosen, share, limits, coefficients,
             state += np.uint64(chosen[k] + 1) * np.uint64(0xBF58476D1CE4E5B9)
             a, b, c = _ransac(px, py, pd, flat, tolerance, trials, max_slope, state, lanes)
             a, b, c = _refit(px, py, pd, a, b, c, tolerance, max_slope)
-            # Where a slope hardly lowers the misfit, it follows noise.
+            # A slope that hardly lowers the misfit follows noise.
             misfit = _misfit(px, py, pd, 1, a, b, c, tolerance)
             if flatness * _misfit(px, py, pd, 1, 0.0, 0.0, flat, tolerance) <= misfit:
                 a, b, c = 0.0, 0.0, flat
@@ -146,7 +146,7 @@ def _fit(begin, end, values, order, starts, chosen, share, limits, coefficients,
 
 @jit
 def _pick(state, count):
-    # The next state of xorshift64*, whose three shifts are enough to pick pixels, and one of ``count`` pixels.
+    # Return the next state of xorshift64* (without its multiplication) and the index of one of ``count`` pixels.
     state ^= state >> np.uint64(12)
     state ^= state << np.uint64(25)
     state ^= state >> np.uint64(27)
@@ -155,7 +155,7 @@ def _pick(state, count):
 
 @jit
 def _ransac(px, py, pd, flat, tolerance, trials, max_slope, state, lanes):
-    # The plane through three pixels with the smallest misfit, or the flat one.
+    # Return the plane through three pixels with the smallest misfit, or the flat plane.
     count = px.size
     stride = max(1, count // _SAMPLED_PIXELS)
     a, b, c = 0.0, 0.0, flat
@@ -203,7 +203,7 @@ def _misfits(px, py, pd, stride, lanes, tolerance, enough):
 
 @jit
 def _refit(px, py, pd, a, b, c, tolerance, max_slope):
-    # Least squares over the inliers, as long as the misfit falls.
+    # Repeat least squares over the inliers as long as the misfit falls.
     for _ in range(_REFITS):
         n, sx, sy, sd = _inlier_sums(px, py, pd, a, b, c, tolerance)
         if n < 3:
@@ -219,7 +219,7 @@ def _refit(px, py, pd, a, b, c, tolerance, max_slope):
                 xd += x * d
                 yd += y * d
         determinant = xx * yy - xy * xy
-        if determinant <= 1e-6 * (xx + yy) * (xx + yy) + 1e-12:  # the pixels lie on a line
+        if determinant <= 1e-6 * (xx + yy) * (xx + yy) + 1e-12:  # the pixels are on a line
             break
         ta, tb = plane_slopes(xx, xy, yy, xd, yd, determinant)
         if abs(ta) > max_slope or abs(tb) > max_slope:
@@ -234,7 +234,7 @@ def _refit(px, py, pd, a, b, c, tolerance, max_slope):
 
 @jit
 def _inlier_sums(px, py, pd, a, b, c, tolerance):
-    # Number of inliers, and the sums of their x, y and disparity.
+    # Return the number of inliers, and the sums of their x, y and disparity.
     n, sx, sy, sd = 0, 0.0, 0.0, 0.0
     for i in range(px.size):
         if abs(a * px[i] + b * py[i] + c - pd[i]) <= tolerance:
@@ -247,7 +247,7 @@ def _inlier_sums(px, py, pd, a, b, c, tolerance):
 
 @jit
 def _misfit(px, py, pd, stride, a, b, c, tolerance):
-    # Sum of squared distances, each at most tolerance squared (MSAC).
+    # Return the sum of squared distances, each at most tolerance squared (MSAC).
     limit = tolerance * tolerance
     total = 0.0
     for i in range(0, px.size, stride):

@@ -1,4 +1,4 @@
-"""Planes through the 9 x 9 window of every pixel, which describe the surface around it."""
+"""Planes through the 9 x 9 window of every pixel."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from depthcli.kernels.jit import jit, run_bands
 RADIUS = 4
 """Half side of the windows, pixels."""
 
-# Values that refine-kinect accurate was published with; nothing in the repository varies them.
+# Values of the published preset refine-kinect accurate; nothing in the repository varies them.
 _GATE = 4.0  # larger residuals have no weight, multiples of the noise
-_FIRST_GATE, _FIRST_GATE_GROWTH = 6.4, 1.0  # before there is a plane: the gate, and its growth per pixel of distance
-_RIDGE = 1.0  # square pixels added to the scatter: thin support must not yield steep planes
+_FIRST_GATE, _FIRST_GATE_GROWTH = 6.4, 1.0  # first fit: gate, and its growth per pixel of distance
+_RIDGE = 1.0  # added to the scatter, square pixels: thin support must not yield steep planes
 _MAX_SLOPE = 0.7  # pixels of disparity per pixel
-_MIN_SUPPORT = 8.0  # with less weight than this the plane is level
-_BLOCK = 64  # pixels of a row that are worked on together: a few vectors, and all sums stay in the cache
+_MIN_SUPPORT = 8.0  # with a smaller sum of weights the plane is level
+_BLOCK = 64  # pixels of a row that are fitted together: a few vectors, with all sums in the cache
 
 
 class WindowPlanes(NamedTuple):
     """A plane for every pixel; all (H, W) float32."""
 
-    value: NDArray[np.float32]  # disparity of the plane at the pixel, pixels; NaN where the disparity is unknown
-    # slope_x, slope_y: pixels of disparity per pixel, to the right and downwards
+    value: NDArray[np.float32]  # disparity of the plane at the pixel, pixels; NaN if the disparity is unknown
+    # pixels of disparity per pixel, to the right and downwards
     slope_x: NDArray[np.float32]
     slope_y: NDArray[np.float32]
     scale: NDArray[np.float32]  # root of the mean weighted squared residual, pixels
@@ -47,8 +47,9 @@ def window_planes(
 ) -> WindowPlanes:
     """Fit a plane to the window of every pixel, by three reweighted least squares with Tukey's biweight.
 
-    ``trust`` are the weights of the pixels, ``noise`` is the standard deviation of the disparity, pixels. With the
-    planes of an earlier map, those whose windows contain no pixel whose disparity or trust has ``changed`` are copied.
+    ``trust`` are the weights of the pixels; ``noise`` is the standard deviation of the disparity, pixels. With the
+    ``previous`` planes of an earlier map, only planes whose windows contain a pixel with ``changed`` disparity or trust
+    are fitted again.
     """
     known = ~np.isnan(disparity)
     padded = np.pad(np.where(known, disparity, np.float32(0)), RADIUS)
@@ -68,7 +69,7 @@ def window_planes(
 
 @jit
 def _fit(begin, end, disparity, trust, affected, first_gate, growth, gate, value, slope_x, slope_y, scale):
-    # Rows side by side, in blocks; within a block all pixels at once, one offset of the window after the other.
+    # Rows are fitted in blocks: all pixels of a block at once, one offset of the window after another.
     width = value.shape[1]
     for y in range(begin, end):
         sums = np.empty((10, _BLOCK), np.float32)
@@ -130,7 +131,7 @@ def _fit_block(disparity, trust, y, left, width, first_gate, growth, gate, sums,
             c[i] = md - a[i] * mx - b[i] * my
     for i in range(width):
         total = max(s[i], np.float32(1e-6))
-        # Sum of squared residuals of the last weights about the plane they gave.
+        # Sum of squared residuals about the final plane, with the last weights.
         square = sdd[i] + a[i] * a[i] * sxx[i] + b[i] * b[i] * syy[i] + c[i] * c[i] * s[i]
         square -= np.float32(2) * (a[i] * sxd[i] + b[i] * syd[i] + c[i] * sd[i])
         square += np.float32(2) * (a[i] * b[i] * sxy[i] + a[i] * c[i] * sx[i] + b[i] * c[i] * sy[i])

@@ -1,4 +1,4 @@
-"""Slopes of a disparity map: those of a plane through the surrounding pixels that belong to the same surface."""
+"""Slopes of a disparity map, from planes through surrounding pixels of the same surface."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from depthcli.kernels.lanes import (
     where_at_most,
 )
 
-# Values of the preset stereo accurate, not varied by any script; the device kernels (slanted.cl) have the same.
+# Values of the preset stereo accurate; no script varies them. The device kernels (slanted.cl) have the same values.
 _RIDGE = np.float32(0.2)  # square pixels added to the variance of positions
-_COLOR_THRESHOLD = np.float32(75.0)  # sum over the channels of the differences, grey levels
+_COLOR_THRESHOLD = np.float32(75.0)  # largest sum of the channels' differences, grey levels
 _MIN_SAMPLES = np.float32(6.0)
 _MAX_SLOPE = np.float32(1.0)  # pixels of disparity per pixel
-_NOISE_VARIANCE = np.float32(0.01)  # square pixels, added to that of the residuals
-_SHRINKAGE = np.float32(4.0)  # variances of a slope that count as much as its square
+_NOISE_VARIANCE = np.float32(0.01)  # added to the variance of the residuals, square pixels
+_SHRINKAGE = np.float32(4.0)  # a slope whose square is this many variances is halved
 _STEPS = 4  # samples from the center of the window to its side
 
 
 def framed(array: NDArray[Any], margin: int) -> NDArray[Any]:
-    """Return (..., H, W) padded with 0, by ``margin`` on all sides, and on the right up to whole vectors; NaN is 0."""
+    """Return (..., H, W) padded with 0, by ``margin`` on all sides and to whole vectors on the right; NaN becomes 0."""
     *others, height, width = array.shape
     result = np.zeros((*others, height + 2 * margin, width + 2 * margin + -width % SHORT_LANES), array.dtype)
     inside = result[..., margin : margin + height, margin : margin + width]
@@ -43,22 +43,21 @@ def framed(array: NDArray[Any], margin: int) -> NDArray[Any]:
 
 
 def color_planes(image: NDArray[np.uint8], margin: int) -> NDArray[np.uint8]:
-    """Return the channels of an (H, W, 3) uint8 image, one after another, padded as by :func:`framed`; uint8."""
+    """Return the channels of an (H, W, 3) uint8 image as planes, padded by :func:`framed`; uint8."""
     return framed(image.transpose(2, 0, 1), margin)
 
 
 def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 16) -> NDArray[np.float32]:
     """Compute the change of disparity from a pixel to the next one in its row and in its column.
 
-    A plane is fitted by least squares to those of 9 x 9 samples of the window whose color is similar to the pixel's
-    (differences of the channels sum to at most 75) and whose disparity is close (difference at most 1 + 0.15 distance).
-    It is fitted once more to the samples within one pixel of disparity of it, with weights ``1 - residual^2``. Slopes
-    that noise can explain are reduced: a slope g is multiplied by ``g^2 / (g^2 + 4 (variance + 0.01) / spread)``, with
-    the variance of the residuals and the spread ``radius^2 / 3`` of positions in the window. ``radius`` is half the
-    window's side, at least 4 pixels.
+    A plane is fitted by least squares to the samples, of 9 x 9 in the window, with a similar color (channel differences
+    sum to at most 75) and a close disparity (difference at most 1 + 0.15 distance). It is fitted again to the samples
+    within one pixel of disparity from it, with weights ``1 - residual^2``. Slopes that noise can explain are reduced: a
+    slope g is multiplied by ``g^2 / (g^2 + 4 (variance + 0.01) / spread)``, with the variance of the residuals and the
+    spread ``radius^2 / 3`` of positions in the window. ``radius`` is half the window's side, at least 4 pixels.
 
-    Returns slopes along the row and along the column, (2, H, W) float32 within -1 .. 1; 0 where fewer than 6 pixels
-    agree, or ``values`` are NaN.
+    Returns slopes along the row and along the column, (2, H, W) float32 within -1 .. 1; 0 if fewer than 6 samples
+    agree, or if the value is NaN.
     """
     height, width = values.shape
     result = np.empty((2, height, width + -width % SHORT_LANES), np.float32)
@@ -70,10 +69,10 @@ def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 
 
 
 def window_sampling(radius: int) -> tuple[int, NDArray[np.float32], np.float32]:
-    """Return how the window of :func:`slopes` is sampled; the kernels of devices use the same numbers.
+    """Return the sampling of the window of :func:`slopes`; device kernels use the same numbers.
 
-    That are the distance of neighboring samples in pixels, the largest difference of disparity from the center by the
-    sample's row and column (9, 9), and one over the spread of positions in the window.
+    These are the distance between neighboring samples in pixels, the largest disparity difference from the center for
+    each sample (9, 9), and 1 / spread of positions in the window.
     """
     step = max(1, radius // _STEPS)
     offsets = np.arange(-_STEPS, _STEPS + 1) * step
@@ -84,7 +83,7 @@ def window_sampling(radius: int) -> tuple[int, NDArray[np.float32], np.float32]:
 
 @jit
 def _fit(begin, end, values, valid, planes, step, limits, spread, result):
-    # Differences and weights of all samples of a block of pixels are kept while planes are fitted to them.
+    # Store the differences and weights of all samples for a block of pixels, then fit planes to them.
     _, height, width = result.shape
     side = limits.shape[0]
     row_size = values.shape[1]
@@ -126,10 +125,10 @@ def _fit(begin, end, values, valid, planes, step, limits, spread, result):
 
 @jit
 def color_differences(colors: Any, at: int, plane_size: int, red: Any, green: Any, blue: Any) -> Any:
-    """Return the sums over the channels of the differences of two runs of pixels, as two vectors of float32.
+    """Return the sums of absolute channel differences of two runs of pixels, as two vectors of float32.
 
-    One run of SHORT_LANES pixels begins at ``at`` in each plane of ``colors`` (see :func:`color_planes`); the
-    colors of the other one are vectors of int16.
+    One run of SHORT_LANES pixels begins at ``at`` in each plane of ``colors`` (see :func:`color_planes`); the colors of
+    the other run are vectors of int16.
     """
     return halves(
         absolute_difference(load_shorts(colors, at), red)
@@ -140,7 +139,7 @@ def color_differences(colors: Any, at: int, plane_size: int, red: Any, green: An
 
 @jit
 def _fitted(weights, apart, side, step, shift):
-    # Slopes along the row and the column, and the offset at the center, of the planes through the samples.
+    # Return slopes along the row and the column, and the offset at the center, of the planes through the samples.
     zero = splat(np.float32(0))
     s, sx, sy, sxx, sxy, syy, sd, sxd, syd = zero, zero, zero, zero, zero, zero, zero, zero, zero
     for i in range(side):
@@ -195,7 +194,7 @@ def _reweight(weights, apart, side, step, shift, slope_x, slope_y, offset):
 
 @jit
 def _residual_variance(weights, apart, side, step, shift, slope_x, slope_y, offset):
-    # The weighted mean of the squared residuals.
+    # Return the weighted mean of the squared residuals.
     one, total, squares = splat(np.float32(1)), splat(np.float32(0)), splat(np.float32(0))
     for i in range(side):
         for j in range(side):

@@ -13,13 +13,13 @@ from depthcli.kernels.jit import jit, run_bands
 
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))  # down and right: half of the eight neighbors
 _PER_LEVEL = 128  # resolution of costs
-_NO_EDGE = 65535  # beyond the image; the largest cost is 255 * 3^.5 * _PER_LEVEL
+_NO_EDGE = 65535  # neighbor outside the image; the largest cost is 255 * 3^0.5 * _PER_LEVEL
 
 
 class Felzenszwalb(Segmenter):
-    """Join regions that differ little compared with the differences inside both; textured regions grow larger.
+    """Join regions whose difference is small compared with the differences inside both; textured regions grow larger.
 
-    The edges are those to the eight neighbors, their costs Euclidean distances of colors, rounded to 1/128 grey level.
+    Edges connect eight neighbors. Their costs are Euclidean distances of colors, rounded to 1/128 grey level.
     """
 
     aliases = ("FH",)
@@ -38,7 +38,7 @@ class Felzenszwalb(Segmenter):
         costs = np.full((*image.shape[:2], len(_STEPS)), _NO_EDGE, np.uint16)
         run_bands(_edge_costs, len(smooth), smooth, costs)
         costs = costs.ravel()
-        order = np.argsort(costs, kind="stable")  # of 16-bit numbers: in linear time
+        order = np.argsort(costs, kind="stable")  # radix sort of 16-bit numbers: linear time
         order = order[: np.searchsorted(costs, _NO_EDGE, sorter=order)]
         labels = _joined(order, costs, image.shape[1], image.shape[0] * image.shape[1], self.scale, self.min_size)
         pieces = connected_components_of_labels(labels.reshape(image.shape[:2]))
@@ -47,7 +47,7 @@ class Felzenszwalb(Segmenter):
 
 @jit
 def _edge_costs(begin, end, image, costs):
-    # Steps of color from every pixel to those of _STEPS, in 1 / _PER_LEVEL grey levels, where these are in the image.
+    # Write the color distance of every pixel from its neighbors _STEPS inside the image, in 1 / _PER_LEVEL grey levels.
     height, width, channels = image.shape
     for y in range(begin, end):
         for x in range(width):
@@ -63,12 +63,12 @@ def _edge_costs(begin, end, image, costs):
 
 @jit
 def _joined(order, costs, width, n_pixels, scale, min_size):
-    # Regions (N,) int32 of the pixels, by edges in the ``order`` of their costs.
+    # Return the regions of the pixels, (N,) int32, joined by edges in the ``order`` of their costs.
     parent = np.arange(n_pixels).astype(np.int32)
     size = np.ones(n_pixels, np.int32)
     inside = np.zeros(n_pixels, np.float32)  # the most costly edge of each region's tree
     unit = np.float32(1 / _PER_LEVEL)
-    for round_number in range(2):  # then, whatever the cost, regions that are too small
+    for round_number in range(2):  # the second round joins small regions, whatever the cost
         for edge in order:
             pixel, k = divmod(edge, len(_STEPS))
             a = root(parent, pixel)

@@ -1,4 +1,4 @@
-"""Statistical region merging (Nock and Nielsen, PAMI 2004), guided by depth where it is known (thesis, section 4)."""
+"""Statistical region merging (Nock and Nielsen, PAMI 2004), guided by known depth (thesis, section 4)."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from depthcli.algorithms.regions import consecutive, root
 from depthcli.algorithms.segmentation import Segmenter
 from depthcli.kernels.jit import jit
 
-_LEVELS = 256  # of grey; g of the paper
-_DEPTH_LEVELS = 4095  # so few that their sum over a large image fits into int32
-_TABLE = 4096  # region sizes whose bound is tabulated
+_LEVELS = 256  # number of grey levels; g of the paper
+_DEPTH_LEVELS = 4095  # small enough that sums over a large image fit into int32
+_TABLE = 4096  # bounds are tabulated for smaller regions
 _SIZE, _COLOR, _KNOWN, _DEPTH = 0, 1, 4, 5  # columns of a region's row of sums
 
 
 class StatisticalRegionMerging(Segmenter):
     """Merge neighbors in order of their difference, unless the means of their regions differ significantly.
 
-    With depth, the order and the test also use depth; a region of unknown depth merges by color alone, so that regions
+    With depth, the order and the test also use depth. A region of unknown depth merges by color alone, so that regions
     extend over the gaps of a sensor's map.
     """
 
@@ -64,7 +64,7 @@ class StatisticalRegionMerging(Segmenter):
 
 
 def _depth_levels(depth: NDArray[np.float32]) -> NDArray[np.int16]:
-    # Levels of the range from the 0.5 % to the 99.5 % quantile, -1 = unknown; all -1 if that range is empty.
+    # Return levels over the range from the 0.5 % to the 99.5 % quantile, -1 = unknown; all -1 if the range is empty.
     known = depth[~np.isnan(depth)]
     low, high = np.percentile(known, (0.5, 99.5)) if known.size else (0.0, 0.0)
     if not high > low:
@@ -74,8 +74,8 @@ def _depth_levels(depth: NDArray[np.float32]) -> NDArray[np.int16]:
 
 
 def _sorted_pairs(image: NDArray[np.uint8], depth: NDArray[np.int16]) -> NDArray[np.int32]:
-    # 4-neighbor pairs by difference: 2 p for (p, right of p), 2 p + 1 for (p, below p).
-    keys = np.full((*image.shape[:2], 2), -1, np.int16)  # -1: the neighbor is outside of the image
+    # Return 4-neighbor pairs sorted by difference: 2 p for (p, right of p), 2 p + 1 for (p, below p).
+    keys = np.full((*image.shape[:2], 2), -1, np.int16)  # -1: the neighbor is outside the image
     neighbors: Any = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))
     for step, (first, second) in enumerate(neighbors):
         change = np.maximum(image[first], image[second]) - np.minimum(image[first], image[second])
@@ -91,7 +91,7 @@ def _sorted_pairs(image: NDArray[np.uint8], depth: NDArray[np.int16]) -> NDArray
 
 @jit
 def _bound(size, log_pixels, complexity, levels):
-    # b^2 of the paper for a region of ``size`` pixels whose values span ``levels``.
+    # Return b^2 of the paper for a region of ``size`` pixels with values in ``levels``.
     spread = min(size, _LEVELS) * np.log(1.0 + size) + np.log(6.0) + 2 * log_pixels
     return np.float32(levels * levels * spread / (2 * complexity * size))
 
@@ -164,7 +164,7 @@ def _merge(pairs, sums, guided, complexities, guidance, min_size, labels):
 
 @jit
 def _without_small(parent, size, pairs, width, min_size):
-    # Labels after small regions have joined along the most similar of the ``pairs`` that were not joined.
+    # Return labels after small regions have joined along the most similar of the remaining ``pairs``.
     parent = parent.copy()
     for pair in pairs:
         i = pair >> 1

@@ -1,17 +1,17 @@
-"""Confidence of the best match of a cost curve; larger values are surer in every measure.
+"""Confidence of the best match of a cost curve; larger values mean more confidence in every measure.
 
-:func:`confidence_maps` takes a cost volume (H, W, D) of stereo, :class:`CostCurves` curves over any search space; there
-is one float32 per curve. One pass over all curves computes their statistics (``_curves``), and most measures are a
-short formula of these (the table ``MEASURES``). ``apkr`` and ``da`` need one curve per pixel, costs (H, W, K); ``lrc``,
-``lrd`` and ``dap`` a stereo volume.
+:func:`confidence_maps` takes a stereo cost volume (H, W, D); :class:`CostCurves` takes curves over any search space. A
+measure is one float32 per curve. One pass over all curves computes their statistics (``_curves``), and most measures
+are a short formula of these (the table ``MEASURES``). ``apkr`` and ``da`` need one curve per pixel, costs (H, W, K);
+``lrc``, ``lrd`` and ``dap`` need a stereo volume.
 
-A curve has costs ``c``: ``c1`` is the smallest one, at ``d1``; ``c2`` the next smallest one anywhere; ``c2m`` the
-second smallest local minimum, at ``d2m``, and in a curve without one the largest cost; ``s`` is the standard deviation
-of all costs of the volume.
+A curve has costs ``c``: ``c1`` is the smallest cost, at ``d1``; ``c2`` is the next smallest cost anywhere; ``c2m`` is
+the second smallest local minimum, at ``d2m``, or the largest cost if there is no such minimum; ``s`` is the standard
+deviation of all costs of the volume.
 
 Sources: Hu and Mordohai, "A quantitative evaluation of confidence measures for stereo vision", TPAMI 2012; ``apkr``:
-Kim et al. 2014. A ratio of two costs has 1e-3 of the mean cost added to both of them; where only the denominator could
-be zero, it is added to the denominator.
+Kim et al. 2014. In a ratio of two costs, 1e-3 of the mean cost is added to both. If only the denominator can be zero,
+it is added to the denominator.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _ADDED = Family("depthcli.methods.confidence")
 
 
 class ConfidenceMeasure(Method):
-    """One number per cost curve: the base of measures that plug-ins add, and files of this folder.
+    """Base of measures that plug-ins or files of this folder add: one number per cost curve.
 
-    The first paragraph of its docstring is its line in the documentation.
+    The first paragraph of a measure's docstring is its line in the documentation.
     """
 
     @abstractmethod
@@ -45,22 +45,22 @@ class ConfidenceMeasure(Method):
 
 
 def measures() -> dict[str, str]:
-    """Return the name of every measure and one line about it, ours first."""
+    """Return the name of every measure and a line about it, built-in measures first."""
     lines = {name: line for name, (line, _) in MEASURES.items()}
     added = {name: _ADDED.load(name).__doc__ or "" for name in _ADDED.names()}
     return lines | {name: " ".join(text.split("\n\n")[0].split()) for name, text in added.items()}
 
 
 def measure(name: str) -> Callable[[CostCurves], Map]:
-    """Return the function of curves that computes the measure ``name``, in any case; errors as :func:`measure_name`."""
+    """Return the function that computes the measure ``name`` of curves; errors as in :func:`measure_name`."""
     known = measure_name(name)
     return MEASURES[known][1] if known in MEASURES else cast(ConfidenceMeasure, _ADDED.load(known)())
 
 
 def measure_name(name: str, *others: str) -> str:
-    """Return the measure, or the one of ``others``, of that ``name`` in any case; ValueError if there is none.
+    """Return the measure, or the entry of ``others``, called ``name``, ignoring case; ValueError if there is none.
 
-    ConfigError: it is a plug-in's measure that cannot be loaded.
+    ConfigError: a plug-in's measure cannot be loaded.
     """
     if name.lower() in MEASURES or name.lower() in others:
         return name.lower()
@@ -72,11 +72,11 @@ def measure_name(name: str, *others: str) -> str:
 
 
 MeasureName = Annotated[str, AfterValidator(measure_name)]
-"""A measure as configs name it."""
+"""Name of a measure in a config."""
 
 
 def confidence_maps(costs: NDArray[Any], names: Iterable[str]) -> dict[str, Map]:
-    """Compute measures of a stereo cost volume, name -> (H, W) float32, larger is surer, in the order of ``names``.
+    """Compute the measures ``names`` of a stereo cost volume: name -> (H, W) float32, larger = more confidence.
 
     ``costs`` are (H, W, D) uint8, uint16 or float32, finite, lower is better; cells with d > x are left out.
     ValueError: a name is unknown, or the costs are no volume.

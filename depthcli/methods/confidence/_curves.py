@@ -1,4 +1,4 @@
-"""Cost curves, and their statistics, from which measures are computed; one pass over the curves gives them all."""
+"""Cost curves and their statistics, the input of most measures; one pass over the curves computes all statistics."""
 
 from __future__ import annotations
 
@@ -23,20 +23,19 @@ class CurveStatistics:
 
     lowest: NDArray[np.float32]  # smallest cost, c1
     second_lowest: NDArray[np.float32]  # next smallest cost anywhere, c2; c1 in a curve of one entry
-    # second smallest local minimum, c2m. A local minimum is below its left neighbor and not above its right one; beyond
-    # the ends of the curve costs count as infinite. In a curve without a second one: the largest cost, which in a curve
-    # of one entry is c1
+    # second smallest local minimum, c2m; the largest cost if there is no second one. A local minimum is below its left
+    # neighbor and not above its right neighbor; costs beyond the ends of the curve count as infinite
     second_minimum: NDArray[np.float32]
     total: NDArray[np.float32]  # sum of the costs
     curvature: NDArray[np.float32]  # c(d1 - 1) + c(d1 + 1) - 2 c1, mirrored at the ends
-    # of d1, 1 / sum of exp(-2 (c - c1) / s); s is the standard deviation of all valid cells
+    # likelihood of d1: 1 / sum of exp(-2 (c - c1) / s); s is the standard deviation of all valid cells
     likelihood: NDArray[np.float32]
-    attainable_likelihood: NDArray[np.float32]  # of d1, 1 / sum of exp(-8 ((c - c1) / s)^2)
+    attainable_likelihood: NDArray[np.float32]  # likelihood of d1: 1 / sum of exp(-8 ((c - c1) / s)^2)
     negative_entropy: NDArray[np.float32]  # sum of p log p, p = softmax(-4 c / s)
     n_minima: NDArray[np.float32]  # number of local minima of the curve smoothed by (1, 2, 1) / 4
-    winner: NDArray[np.int32]  # int32, d1, the first one of equals
-    second_winner: NDArray[np.int32]  # int32, d2m, index of the second smallest local minimum; -1: there is none
-    eps: float  # 1e-3 of the mean cost, which keeps denominators of ratios above zero
+    winner: NDArray[np.int32]  # int32, d1, the first of equal costs
+    second_winner: NDArray[np.int32]  # int32, d2m, index of the second smallest local minimum; -1 if there is none
+    eps: float  # 1e-3 of the mean cost, keeps denominators of ratios above zero
 
 
 class CostCurves:
@@ -66,7 +65,7 @@ class CostCurves:
         run_bands(_moments, len(rows), rows, counts, sums)
         mean, square = (float(v) for v in sums.sum(axis=0) / max(1, int(counts.sum(dtype=np.int64))))
         deviation = float(np.sqrt(max(square - mean * mean, 0.0)))
-        if deviation <= 1e-6 * abs(mean):  # but for rounding all costs are the same
+        if deviation <= 1e-6 * abs(mean):  # all costs are equal, except for rounding
             deviation = 1.0
         planes = np.empty((9, *rows.shape[:2]), np.float32)
         winner, second = (np.empty(rows.shape[:2], np.int32) for _ in range(2))
@@ -77,16 +76,16 @@ class CostCurves:
 
     @cached_property
     def stereo_winners(self) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-        """The disparities of least cost of the left and of the right view of a stereo volume, (H, W) each.
+        """The disparities of smallest cost in the left and the right view of a stereo volume, (H, W) each.
 
-        Entries with d > x are left out, whatever ``valid`` says.
+        Entries with d > x are left out, regardless of ``valid``.
         """
         return winners(self.costs)
 
 
 @jit
 def _key(value):
-    # An int32 that sorts as the float does: a minimum of integers vectorizes, one of floats does not.
+    # Return an int32 that sorts like the float: a minimum of integers vectorizes, a minimum of floats does not.
     bits = float_bits(value)
     return np.int32(bits ^ np.int32((bits >> np.int32(31)) & np.int32(0x7FFFFFFF)))
 
@@ -171,8 +170,8 @@ def _measure_curves(begin, end, costs, valid, rate, planes, winner, second):
             winner[r, i] = place
             second[r, i] = other
 
-            # t is the distance to the minimum in standard deviations. MLM and NEM see powers of one exponential:
-            # exp(-2 t) and exp(-4 t). Clipped where it no longer matters, so that nothing becomes denormal.
+            # t is the distance to the minimum in standard deviations. MLM and NEM use powers of one exponential:
+            # exp(-2 t) and exp(-4 t). Large t are clipped, so that nothing becomes denormal.
             likelihoods = np.float32(0.0)
             partition = np.float32(0.0)
             moment = np.float32(0.0)

@@ -1,4 +1,4 @@
-"""The confidence measures that ship: one function of the curves each, with the line that describes it."""
+"""The built-in confidence measures: a function of the curves for each, and its line in the documentation."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ MEASURES: dict[str, tuple[str, Callable[[CostCurves], Map]]] = {
         _ratio(lambda s: s.second_lowest - s.lowest, "total"),
     ),
 }
-"""Name -> (full name, formula and range for costs >= 0, in the letters of the package's docstring; function)."""
+"""Name -> (full name, formula and range for costs >= 0, with the symbols of the package's docstring; function)."""
 
 
 @jit
@@ -150,7 +150,7 @@ def _fill_peak_ratio(begin, end, costs, valid, winner, second, eps, radius, out)
 
 @jit
 def _fill_agreement(begin, end, winner, radius, out):
-    # The share of the window around each pixel whose winner is within 1 of the pixel's own.
+    # Write the share of the window around each pixel whose winner is within 1 of the pixel's winner.
     height, width = winner.shape
     for y in range(begin, end):
         top, bottom = max(0, y - radius), min(height, y + radius + 1)
@@ -172,7 +172,7 @@ def _fill_agreement(begin, end, winner, radius, out):
 
 @jit
 def _fill_mutual_agreement(begin, end, winner, right, radius, out):
-    # The share of the window around the match, in the right view's map, that is within 1 of the pixel's disparity.
+    # Write the share of the window around the match, in the right view's map, that is within 1 of the disparity.
     height, width = winner.shape
     for y in range(begin, end):
         top, bottom = max(0, y - radius), min(height, y + radius + 1)

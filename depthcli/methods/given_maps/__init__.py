@@ -1,11 +1,11 @@
-"""Disparity maps that any program made: how likely every pixel is to be right, what is hidden, the best of several.
+"""Disparity maps from any program: probability that each pixel is correct, hidden pixels, and fusion of several maps.
 
-In: a pair and maps of its left view. Out: a :class:`MapJudgment` of the first one, to which the others are witnesses;
-or, of :mod:`.fusion`, one map. :func:`judge` computes the costs of the pair (``Evidence``, those of the preset
-``stereo fast``), planes of what they, the map's shape and the other maps say of every pixel (``_planes``), and has a
-small network weigh them (``algorithms.pixel_network``). A table (``algorithms.error_table``) turns its log odds into a
-probability and a bound of the error. Single planes are measures of their own. `scripts/train_confidence.py` trains the
-network on tuning scenes, `scripts/train_bounds.py` makes the table.
+In: a pair and maps of its left view. Out: a :class:`MapJudgment` of the first map, with the others as witnesses; or one
+map from :mod:`.fusion`. :func:`judge` computes the costs of the pair with the preset ``stereo fast`` (``Evidence``),
+and then planes of features from the costs, the map's shape and the other maps (``_planes``). A small network converts
+the planes to log odds (``algorithms.pixel_network``). A table (``algorithms.error_table``) converts log odds to a
+probability and an error bound. Single planes also serve as measures. ``scripts/train_confidence.py`` trains the network
+on tuning scenes, and ``scripts/train_bounds.py`` makes the table.
 """
 
 from __future__ import annotations
@@ -31,25 +31,25 @@ from depthcli.methods.stereo.refinement.background_fill import fill_background
 
 Plane = NDArray[np.float32]
 THRESHOLDS = (0.5, 1.0, 2.0, 4.0)
-"""Pixels; the first layer of the network has a row of offsets for each."""
+"""Thresholds in pixels; the first layer of the network has a row of offsets for each."""
 HIDDEN = "hidden"
-"""Name of the offsets of the network that says what is hidden."""
+"""Name of the offsets of the network for hidden pixels."""
 RIGHT_NAMES = tuple(f"within {threshold:g}" for threshold in THRESHOLDS)
 Filled = NDArray[np.bool_] | np.bool_
 _NOWHERE = np.False_
 FILLED_DOUBT = np.float32(0.75)
-"""By how much the log odds of values that were filled, as a program says, are lower (scripts/train_bounds.py)."""
-_MAX_DIFFERENCE = np.float32(16.0)  # between the views, pixels
-_DISTINCT = 0.6  # log(second smallest cost / smallest) from which on a match of the pair itself is distinct
-# Share of these matches that a map may contradict; by how much the log odds of all its values fall as the share grows,
-# and by how much at most. Maps of methods contradict less, another scene's map contradicts more.
+"""Reduction of the log odds of values that a program marks as filled (scripts/train_bounds.py)."""
+_MAX_DIFFERENCE = np.float32(16.0)  # largest difference between the views, pixels
+_DISTINCT = 0.6  # a match of the pair is distinct if log(second smallest cost / smallest cost) exceeds this
+# Share of the distinct matches that a map may contradict; reduction of the log odds of all its values per share above;
+# largest reduction. Maps of stereo methods contradict fewer matches, maps of another scene more.
 _CONTRADICTED, _DOUBT, _MOST_DOUBT = 0.45, 70.0, 16.0
 
 
 class Networks(NamedTuple):
-    """The networks that judge: of being right, of being hidden, and of being right where there is no right image.
+    """Networks for the log odds that a pixel is correct, that it is hidden, and that it is correct without right image.
 
-    ``errors`` and ``one_view_errors`` are the tables of the first and the last one.
+    ``errors`` and ``one_view_errors`` are the error tables of ``right`` and ``one_view``.
     """
 
     right: TrainedNetwork
@@ -61,11 +61,11 @@ class Networks(NamedTuple):
 
 @dataclass(frozen=True)
 class Judged:
-    """A map and what was found out about it."""
+    """A map and its planes."""
 
     values: NDArray[np.float32]  # (H, W) float32 disparities without gaps, pixels
     missing: NDArray[np.bool_]  # (H, W) bool, where the map has no value
-    # alone, others: planes of the map itself, and of its relation to others, float32 (F, H, W)
+    # planes of the map itself, and of its relation to other maps, (F, H, W) float32
     alone: NDArray[np.float32]
     others: NDArray[np.float32]
 
@@ -77,15 +77,15 @@ class Judged:
 
 @dataclass(kw_only=True)
 class MapJudgment(Result):
-    """How likely every pixel of a map is to be right.
+    """Probability, error bound and status of every pixel of a map.
 
     Attributes
     ----------
-    probability : (H, W) float32 in [0, 1]: of pixels with p, a share of p is right; 0 where the map has no value
-    bound : (H, W) float32, pixels: a share ``level`` of the errors is not larger; NaN where the map has no value
+    probability : (H, W) float32 in [0, 1], calibrated: a share p of the pixels with p is correct; 0 if no value
+    bound : (H, W) float32, pixels, with the requested coverage; NaN if the map has no value
     status : (H, W) uint8, bits of :class:`depthcli.core.maps.Status`: ``OCCLUDED``, hidden in the right view;
-        ``OUT_OF_RANGE``, hidden since its match lies outside the right image; ``MISMATCH``, visible and more likely
-        wrong than right; ``NO_DATA``, the map has no value; 0, none of these
+        ``OUT_OF_RANGE``, the match is outside the right image; ``MISMATCH``, visible and probably incorrect;
+        ``NO_DATA``, the map has no value; 0, none of these
     """
 
     probability: NDArray[np.float32]
@@ -117,14 +117,14 @@ def _agreement(judged: Judged, evidence: Evidence, right: Plane | None) -> Plane
 
 @dataclass(frozen=True)
 class Measure:
-    """A measure of confidence of its own: a plane, or a function of a map, its evidence and the right view's map."""
+    """A confidence measure: a plane, or a function of a map, its evidence and the right view's map."""
 
-    about: str  # what it measures; larger is surer
+    about: str  # definition of the measure; larger values mean more confidence
     source: str | Callable[[Judged, Evidence, Plane | None], Plane]  # name of the plane, or the function
-    sign: int = 1  # of the plane
+    sign: int = 1  # factor of the plane
 
     def of(self, judged: Judged, evidence: Evidence, right: Plane | None) -> Plane:
-        """Return the measure of a map, (H, W); ``right`` is the map of the right view by the same program."""
+        """Return the measure of a map, (H, W); ``right`` is the right view's map from the same program."""
         if callable(self.source):
             return self.source(judged, evidence, right)
         return self.sign * judged.plane(self.source)
@@ -149,7 +149,7 @@ MEASURES = {
         _agreement,
     ),
 }
-"""By name; those with a plane of ``ONE_VIEW`` need no right image."""
+"""Measures by name; a measure whose plane is in ``ONE_VIEW`` needs no right image."""
 
 
 def judge(
@@ -162,11 +162,11 @@ def judge(
     right: Plane | None = None,
     level: float = 0.9,
 ) -> MapJudgment:
-    """Judge the first of the maps of a pair, (H, W) float32, pixels, NaN = no value; the others are witnesses.
+    """Judge the first of the ``maps`` of a pair, (H, W) float32, pixels, NaN = no value; the others are witnesses.
 
-    Costs are computed up to ``max_disparity``. A value is right ``within`` so many pixels, 0.25 to 8; a share ``level``
-    of the errors, 0.5 to 0.99, is not larger than the bound. ``measures`` are names of ``MEASURES``; ``right`` is the
-    map of the right view by the same program, for ``left_right``. ValueError: there is no map, or one has not the size
+    Costs are computed up to ``max_disparity``. A value is correct if its error is up to ``within`` pixels, 0.25 to 8.
+    ``level`` is the coverage of the bound, 0.5 to 0.99. ``measures`` are names in ``MEASURES``. ``right`` is the right
+    view's map from the same program, for ``left_right``. ValueError: there is no map, or a map does not have the size
     of the images.
     """
     clock = Clock()
@@ -192,9 +192,9 @@ def bounds(
     level: float = 0.9,
     context: Context | None = None,
 ) -> tuple[Plane, Plane]:
-    """Return probability and bound of a map as :func:`judge` does, in less time, since it says nothing else.
+    """Return probability and bound of a map like :func:`judge`, but faster, since nothing else is computed.
 
-    ``filled`` values, (H, W) bool, are less sure than those that were measured.
+    ``filled`` values, (H, W) bool, are less certain than measured values.
     """
     judged = judged_maps(Evidence.of(pair, max_disparity, Clock(), context), [values])[0]
     return promised_of(networks, judged, within, level, filled)
@@ -209,10 +209,10 @@ def judge_by_one_view(
     measures: Iterable[str] = (),
     level: float = 0.9,
 ) -> MapJudgment:
-    """Judge a map by its shape and the left image, where there is no right image: far less is known then.
+    """Judge a map by its shape and the left image alone, which is far less evidence than a pair.
 
-    Nothing is said about what is hidden; measures that need the right image are left out. ValueError: the map has not
-    the size of the image.
+    No pixels are marked as hidden, and measures that need the right image are left out. ValueError: the map does not
+    have the size of the image.
     """
     clock, network = Clock(), networks.one_view
     if values.shape != left.shape[:2]:
@@ -234,15 +234,15 @@ def judge_by_one_view(
 
 def peak_bytes(shape: tuple[int, int], max_disparity: int, count: int) -> int:
     """Estimate the peak working memory for ``count`` maps of (H, W) ``shape``, bytes."""
-    # Of the costs: raw ones, two sums of paths, optimized ones.
+    # raw costs, two sums of paths, optimized costs; then images and planes
     per_pixel = 7 * (max_disparity + 1) + 400 + 4 * count * (len(INPUTS) + 4)
     return shape[0] * shape[1] * per_pixel + (64 << 20)
 
 
 def judged_maps(evidence: Evidence, maps: Sequence[Plane], known: Sequence[Judged] = ()) -> list[Judged]:
-    """Return the maps of a pair with their planes, after ``known`` ones, whose own planes are there already.
+    """Return ``known`` maps and further ``maps`` of a pair with their planes; planes of ``known`` ones are reused.
 
-    Gaps are filled from the background. ValueError: there is no map, or one has not the size of the images.
+    Gaps are filled from the background. ValueError: there is no map, or a map does not have the size of the images.
     """
     shape, largest = evidence.pair.shape, evidence.volume.n_disparities - 1
     if not (maps or known) or any(one.shape != shape for one in maps):
@@ -258,25 +258,25 @@ def judged_maps(evidence: Evidence, maps: Sequence[Plane], known: Sequence[Judge
 
 
 def without_gaps(values: Plane, max_disparity: int) -> tuple[Plane, NDArray[np.bool_]]:
-    """Return a map (H, W) whose gaps are filled from the background, and where they are."""
+    """Return a map (H, W) with its gaps filled from the background, and the mask of the gaps."""
     missing = ~np.isfinite(values)
     holed = DisparityMap(np.where(missing, np.float32(np.nan), values), np.zeros(values.shape, np.uint8))
     return np.nan_to_num(fill_background(holed).values).clip(0, max_disparity), missing
 
 
 def odds_of(networks: Networks, judged: Judged, within: float) -> Plane:
-    """Return the log odds (H, W) that the values of a map are right within so many pixels."""
+    """Return the log odds (H, W) that the values of a map have errors up to ``within`` pixels."""
     if judged.others[OTHERS.index("maps"), 0, 0]:
         return odds_within(networks.right, within, judged.alone, judged.others)
     return odds_within(of_first(networks.right, len(ALONE)), within, judged.alone, judged.others[:0])
 
 
 def odds_within(network: TrainedNetwork, within: float, alone: Plane, others: Plane) -> Plane:
-    """Return the log odds of an error up to ``within`` pixels, which never fall as that grows.
+    """Return the log odds of an error up to ``within`` pixels, a non-decreasing function of ``within``.
 
-    They are interpolated, over the logarithm of ``within``, between those of the thresholds that the network was
-    trained for and one between each two, by the mean of their offsets. The network does not keep their order: from the
-    default, 1 px, outwards each is bounded by the one before.
+    The network gives log odds at its trained thresholds, and halfway between them with the mean of their offsets. The
+    result is interpolated over the logarithm of ``within``. The network's log odds may decrease as the threshold grows;
+    therefore, from 1 px outwards, each threshold's log odds are bounded by the previous ones.
     """
     rows = network.layers[0][1]
     rows = np.insert(rows, range(1, len(rows)), (rows[1:] + rows[:-1]) / 2, axis=0)
@@ -299,20 +299,20 @@ def promised_of(
 
 
 def doubt(judged: Judged) -> np.float32:
-    """Return by how much the log odds of all values are lower since the pair's own distinct matches contradict the map.
+    """Return the reduction of all log odds if the pair's own distinct matches contradict the map.
 
-    It is then most likely no map of this pair, or has another scale, and values that seem right are so by chance.
+    Such a map probably belongs to another pair or has another scale, and its seemingly correct values are by chance.
     """
     distinct = (judged.plane("peak") > _DISTINCT) & ~judged.missing
     wrong = np.count_nonzero(distinct & (judged.plane("winner_difference") > 1))
-    share = wrong / (np.count_nonzero(distinct) + 0.01 * distinct.size)  # a few matches say nothing of the map
+    share = wrong / (np.count_nonzero(distinct) + 0.01 * distinct.size)  # a few matches are no evidence
     return np.float32(np.clip(_DOUBT * (share - _CONTRADICTED), 0, _MOST_DOUBT))
 
 
 def promised(
     table: ErrorTable, odds: Plane, missing: NDArray[np.bool_], within: float, level: float
 ) -> tuple[Plane, Plane]:
-    """Return probability and bound (H, W) of a map by its log odds of an error up to 1 pixel."""
+    """Return probability and bound (H, W) of a map from its log odds of an error up to 1 pixel."""
     probability = np.where(missing, np.float32(0), table.probability(odds, within))
     return probability, _known(table.bound(odds, level), missing)
 
@@ -320,7 +320,7 @@ def promised(
 def with_reasons(
     values: Plane, missing: NDArray[np.bool_], probability: Plane, hidden: NDArray[np.bool_] | None = None
 ) -> NDArray[np.uint8]:
-    """Return the status (H, W) of values without gaps; ``hidden`` in the right view, None: there is no right view."""
+    """Return the status (H, W) of a map without gaps; ``hidden`` are pixels hidden in the right view, None: unknown."""
     status = np.where(probability < 0.5, Status.MISMATCH, Status.MEASURED)
     if hidden is not None:
         outside = np.arange(values.shape[1], dtype=np.float32) - values < -0.5

@@ -1,4 +1,4 @@
-"""What the images, the map itself and other maps say about every pixel of a disparity map: evidence, then planes."""
+"""Evidence about every pixel of a disparity map, from images, the map itself and other maps: costs, then planes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.methods.stereo.stages import refined
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
-# Those of the preset stereo fast; networks are trained with them.
+# The steps of the preset stereo fast; networks are trained with them.
 _COST = Census(window=(7, 7))
 _OPTIMIZATION = Scanline(p1=25, p2=120, paths=8, edge_threshold=15, edge_divisor=6)
 _REFINEMENT = (
@@ -53,19 +53,19 @@ _REFINEMENT = (
 
 @dataclass(frozen=True)
 class Evidence(Views):
-    """Costs of a pair, by which its maps are judged."""
+    """Costs of a pair, the evidence for its maps."""
 
-    pair: StereoPair  # the images, the right one in the light of the left one
+    pair: StereoPair  # the images, adjusted: noise, rows, brightness
     volume: CostVolume  # (H, W, D) matching costs
-    optimized: CostVolume  # (H, W, D) the costs with smoothness
-    # left, right: (H, W) uint16, disparities of the smallest optimized costs of either view
+    optimized: CostVolume  # (H, W, D) costs with smoothness
+    # (H, W) uint16, disparities of the smallest optimized costs in each view
     left: NDArray[np.uint16]
     right: NDArray[np.uint16]
-    reference: DisparityMap  # the map of the preset stereo fast, made of these costs
+    reference: DisparityMap  # the map of the preset stereo fast, from these costs
 
     @classmethod
     def of(cls, pair: StereoPair, max_disparity: int, clock: Clock, context: Context | None = None) -> Evidence:
-        """Compute the costs of disparities 0 .. ``max_disparity``; ``clock`` books the stages."""
+        """Compute the costs of disparities 0 .. ``max_disparity``; ``clock`` records the stages."""
         pair = adjusted(pair, max_disparity, ("noise", "rows", "light"), context, clock)
         clock.start("cost")
         volume = _COST(pair, max_disparity + 1)
@@ -83,11 +83,14 @@ SHAPE = (
     *("above_mean_11", "above_mean_25", "above_median_5", "above_median_21", "edge_distance"),
     *("step_right", "step_left", "step_around", "relative"),
 )
-"""Planes of a map's shape: standard deviations of windows, differences from means and medians of windows, distance to
-the next step, steps to the largest disparity beside a pixel and to the smallest around, share of the range."""
+"""Planes of a map's shape.
+
+Standard deviations of windows, differences from means and medians of windows, distance to the next step, steps to the
+largest disparity on the right and on the left and to the smallest one around, share of the disparity range.
+"""
 IMAGE = ("deviation_5", "deviation_13", "deviation_31", "gradient", "border_distance")
 ONE_VIEW = (*SHAPE, *IMAGE)
-"""Planes of a map and the left image alone."""
+"""Planes that need a map and the left image only."""
 AVERAGED = (
     *("cost", "far_cost", "contradiction", "hidden", "excess", "winner_difference", "other_winner"),
     *("right_difference", "missing", "color_difference", "margin"),
@@ -95,30 +98,30 @@ AVERAGED = (
 )
 """Planes that are averaged over pixels of similar color, in a narrow and in a wide support.
 
-| plane | what it measures |
+| plane | definition |
 |---|---|
-| ``cost``, ``far_cost`` | matching cost along the map, 1 from 30, from 12 of 48 bits on |
-| ``contradiction``, ``hidden`` | by the costs of the right view: in front of what it sees; behind it, or outside |
+| ``cost``, ``far_cost`` | matching cost along the map, divided by 30 or 12 (of 48 bits), at most 1 |
+| ``contradiction``, ``hidden`` | in front of the right view's surface at the match; behind it, or outside |
 | ``excess`` | log(cost / smallest cost), with smoothness |
-| ``winner_difference``, ``other_winner`` | to the disparity of the smallest cost, pixels; whether above 1 |
-| ``right_difference`` | to the disparity of the match in the right view, pixels |
+| ``winner_difference``, ``other_winner`` | difference from the disparity of smallest cost, pixels; whether above 1 |
+| ``right_difference`` | difference from the right view's disparity at the match, pixels |
 | ``missing`` | whether the map has a gap |
-| ``color_difference`` | largest channel difference to the match, grey levels |
+| ``color_difference`` | largest channel difference from the match, grey levels |
 | ``margin`` | log(smallest cost elsewhere / cost), with smoothness |
-| ``reference_difference``, ``other_reference`` | to the map of ``stereo fast``, pixels; whether above 1 |
-| ``reference_filled`` | whether that map was filled in |
+| ``reference_difference``, ``other_reference`` | difference from the ``stereo fast`` map, pixels; whether above 1 |
+| ``reference_filled`` | whether the ``stereo fast`` map is filled there |
 """
 SINGLE = (
     *("cost", "excess", "winner_difference", "right_difference", "match_column", "self_occlusion", "rank", "margin"),
     *("missing", "reference_difference", "reference_filled"),
 )
-"""Planes of the pixel itself; as above, with the sign where it has one, and:
+"""Planes of the pixel itself: some of the planes above, with the sign of differences, and:
 
-| plane | what it measures |
+| plane | definition |
 |---|---|
-| ``match_column`` | column of the match in the right image, at most 20 from its border, pixels |
-| ``self_occlusion`` | by how much a nearer pixel of the map covers the match, pixels |
-| ``rank`` | share of the disparities whose costs, with smoothness, are smaller |
+| ``match_column`` | column of the match in the right image, clipped to -20 .. 20 |
+| ``self_occlusion`` | disparity by which a nearer pixel of the map covers the match, pixels |
+| ``rank`` | share of the disparities with smaller costs, with smoothness |
 """
 VIEWS = ("decorrelation", "color_difference")
 PIXEL = (*IMAGE[:4], "light_trust", "min_cost", "peak", IMAGE[4])
@@ -128,13 +131,16 @@ OTHERS = (
     *("cost_narrow_relative", "cost_wide_relative", "excess_narrow_relative", "decorrelation_relative"),
     *("deviation_of_map_11_relative", "maps"),
 )
-"""Planes of a map's relation to others: share of them that disagree, distances to the nearest, the middle and the
-farthest one, pixels above their middle, planes relative to the smallest among the maps, and log2 of their number."""
+"""Planes of a map's relation to other maps.
+
+Share of maps that disagree, distances to the nearest, the median and the farthest map, pixels above the median, planes
+relative to the smallest among the maps, and log2 of the number of maps.
+"""
 INPUTS = (*ALONE, *OTHERS)
-"""Inputs of the network, in their order."""
+"""Inputs of the network, in order."""
 
 Planes = dict[str, NDArray[np.float32]]
-"""By name, (H, W) each."""
+"""Planes by name, (H, W) each."""
 
 
 def shape_planes(values: NDArray[np.float32], max_disparity: int, plane: Planes) -> None:
@@ -222,7 +228,7 @@ def alone_planes(
 def other_planes(
     maps: NDArray[np.float32], alone: Sequence[NDArray[np.float32]], evidence: Evidence
 ) -> NDArray[np.float32]:
-    """Return the planes ``OTHERS`` of every map, (N, len(OTHERS), H, W) float32; all 0 where there is one map."""
+    """Return the planes ``OTHERS`` of every map, (N, len(OTHERS), H, W) float32; all 0 if there is only one map."""
     count, height, width = maps.shape
     out = np.zeros((count, len(OTHERS), height, width), np.float32)
     if count == 1:
@@ -335,7 +341,7 @@ def _compare(
 
 @jit
 def _spread(begin, end, block, planes):
-    """Write the first sums of a block as planes of means; the sum of ones is behind them."""
+    """Write the sums of a block as planes of means; the sum of ones follows the sums."""
     count, _, width = planes.shape
     for y in range(begin, end):
         for x in range(width):
@@ -347,13 +353,13 @@ def _spread(begin, end, block, planes):
 
 @jit
 def _relate(begin, end, maps, nearest, middle, farthest, above):
-    # Distances of every map to the nearest, the middle and the farthest other one, and to the middle of all.
+    # Write each map's distances to the nearest, the median and the farthest other map, and to the median of all maps.
     count, _, width = maps.shape
     far = np.float32(8)
     for y in range(begin, end):
         ordered = np.empty(count, np.float32)
         for x in range(width):
-            for n in range(-1, count):  # -1: the values themselves
+            for n in range(-1, count):  # -1: the values, not distances
                 size = 0
                 for m in range(count):
                     if m == n:
@@ -376,7 +382,7 @@ def _relate(begin, end, maps, nearest, middle, farthest, above):
 
 
 def hidden_by_map(values: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return the pixels (H, W) whose match a nearer pixel of the same map covers, by more than one pixel."""
+    """Select the pixels, (H, W) bool, whose match a nearer pixel of the same map covers, by more than one pixel."""
     hidden = np.empty(values.shape, np.bool_)
     run_bands(_find_hidden, len(values), values, hidden)
     return hidden

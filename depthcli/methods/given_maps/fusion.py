@@ -1,4 +1,4 @@
-"""Fusion of maps that any programs made: at every pixel the one that is most likely right."""
+"""Fusion of maps from any programs: at every pixel, the value that is most likely correct."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ _PLANES = SegmentPlaneFit(tolerance=1.0, trials=100, flatness=0.9)
 _REFINEMENT = SlantedMedian(radius=3, color_scale=10, distance_scale=3)
 
 N_ADDED = 2
-"""Maps that are proposed beside the given ones: that of stereo fast, and planes."""
+"""Number of proposals besides the given maps: the map of stereo fast, and planes."""
 MAX_MAPS = MAX_PROPOSALS - N_ADDED
-"""Most maps that are fused."""
+"""Largest number of given maps."""
 
 
 class Fused(NamedTuple):
-    """A map that has a value everywhere."""
+    """A fused map, which has a value everywhere."""
 
     disparity: DisparityMap
     seconds: dict[str, float]  # by stage
-    probability: NDArray[np.float32]  # (H, W), of an error up to ``within``
-    bound: NDArray[np.float32] | None  # (H, W), of the error, pixels; None: not asked for
+    probability: NDArray[np.float32]  # (H, W), probability of an error up to ``within``
+    bound: NDArray[np.float32] | None  # (H, W), error bound, pixels; None: not requested
 
 
 def fuse(
@@ -50,18 +50,19 @@ def fuse(
     measured: Sequence[NDArray[np.bool_]] = (),
     level: float | None = None,
 ) -> Fused:
-    """Fuse at most ``MAX_MAPS`` maps of a pair, (H, W) float32, pixels, NaN = no value; complete and correct one.
+    """Fuse 1 to ``MAX_MAPS`` maps of a pair, (H, W) float32, pixels, NaN = no value; a single map is completed.
 
-    Proposed are the given maps, the map of the preset ``stereo fast``, and, with ``surfaces``, planes of segments,
-    fitted where the best of these is likely right. The network of :mod:`depthcli.methods.given_maps` gives the log odds
-    of each; their softmax is averaged over neighbors of similar color, and the largest share wins.
+    The proposals are the given maps, the map of the preset ``stereo fast``, and, with ``surfaces``, planes of segments,
+    fitted to the pixels where the best of the others is probably correct. The network of
+    :mod:`depthcli.methods.given_maps` gives the log odds of each proposal. Their softmax is averaged over neighbors of
+    similar color, and the largest share wins.
 
-    ``measured``, (H, W) bool each, says where the given maps were measured, not filled; none: where they have a value.
-    A pixel where neither these nor ``stereo fast`` measured a value within a pixel of the chosen one is ``FILLED``.
+    ``measured``, (H, W) bool for each map, are pixels that were measured, not filled; empty: all pixels with a value. A
+    pixel is ``FILLED`` if neither a given map nor ``stereo fast`` measured a value within a pixel of the chosen one.
 
-    Returns a map that has a value everywhere, and how likely every pixel is right ``within`` so many pixels. With a
-    ``level`` the map is judged once more, by itself, for its bound and this probability. Costs are computed up to
-    ``max_disparity``. There are 1 to ``MAX_MAPS`` maps, which callers check. ValueError: one has not the size of the
+    Returns a map that has a value everywhere, and the probability that the error of a pixel is up to ``within`` pixels.
+    With ``level``, the coverage, the fused map is judged by itself for its bound and this probability. Costs are
+    computed up to ``max_disparity``. Callers check the number of maps. ValueError: a map does not have the size of the
     images.
     """
     clock, measured = Clock(), measured or [np.isfinite(one) for one in maps]

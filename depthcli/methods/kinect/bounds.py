@@ -1,8 +1,8 @@
-"""How wrong each value of a refined depth map may be, by what the frame and the map show, whatever method made it.
+"""Error bounds for every value of a refined depth map, from the frame and the map, for any refinement method.
 
-A small network weighs planes of the surroundings of a pixel (``error_planes``) and gives the log odds of an error up to
-twice the noise of the frame; a table (``algorithms.error_table``) has the errors that were found at such odds, in
-multiples of the noise. ``scripts/train_depth_bounds.py`` makes both on simulated sensors, and on blocks cut out of real
+A small network computes the log odds of an error up to twice the frame's noise from planes that describe a pixel's
+surroundings (``error_planes``). A table (``algorithms.error_table``) has the distribution of errors at these odds, in
+multiples of the noise. ``scripts/train_depth_bounds.py`` trains both on simulated sensors and on blocks cut out of real
 frames.
 """
 
@@ -22,25 +22,25 @@ from depthcli.core.maps import DepthMap, DepthStatus, Floats, Mask
 from depthcli.methods.kinect.disparity import nearest_fill, noise_level
 
 THRESHOLDS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-"""Multiples of the noise; the first layer of the network has a row of offsets for each."""
+"""Thresholds in multiples of the noise; the first layer of the network has a row of offsets for each."""
 INPUTS = (
     "corrected", "filled", "fallback", "distance_to_kept", "kept_around", "known_around", "step_here", "step_around",
     "distance_to_step", "range_3", "range_15", "distance_to_edge", "from_nearest", "roughness", "roughness_of_map",
     "roughness_of_sensor", "change", "change_of_map", "corrected_of_map", "contrast_at_edges", "contrast_at_new_edges",
 )  # fmt: skip
-"""Names of the planes, in their order."""
+"""Names of the planes, in order."""
 BYTES_PER_PIXEL = 220
 """Estimate of the peak working memory of bounds."""
-_SCORE = THRESHOLDS.index(2.0)  # the threshold whose log odds the table has
+_SCORE = THRESHOLDS.index(2.0)  # index of the threshold whose log odds the table uses
 _EDGE = 5.0  # a larger step between neighbors is a depth edge, multiples of the noise, as in all pipelines
 _LOG2_E = np.float32(math.log2(math.e))
-_FAR = 64.0  # pixels; larger distances are alike
-_EVERY = 3  # row and column counts for the median of a map
-_CELL = 4  # pixels, side of the cells that the largest step around is sought by
+_FAR = 64.0  # pixels; larger distances count as this
+_EVERY = 3  # medians of a map use every third row and column
+_CELL = 4  # side of the cells for the largest step around, pixels
 
 
 class DepthErrors(NamedTuple):
-    """What turns planes into bounds: a network, and the table of the errors at its log odds, multiples of the noise."""
+    """A network for log odds, and the table of errors at these odds, in multiples of the noise."""
 
     network: TrainedNetwork
     errors: ErrorTable
@@ -49,13 +49,15 @@ class DepthErrors(NamedTuple):
 def depth_bounds(
     given: DepthErrors, frame: RgbdFrame, found: DepthMap, level: float, within: float
 ) -> tuple[Floats, Floats]:
-    """Return bound and probability of a frame's refined map, (H, W) float32.
+    """Return error bound and probability of a frame's refined map, (H, W) float32.
+
+    The bound, in meters, applies to the side behind the value, which is the wider one. It is infinite if nothing limits
+    the depth, and NaN at pixels without a value. The probability is 0 there.
 
     Parameters
     ----------
-    level : share of the errors that the bound, meters, is not smaller than. It is that of the side behind the value,
-        the wider one; infinite where nothing limits the depth, NaN where there is no value
-    within : an error up to this, meters, has the probability; 0 where there is no value
+    level : coverage of the bound: the share of the errors that do not exceed it
+    within : the probability is for an error up to this, meters
     """
     planes, noise = error_planes(frame, found)
     odds = log_odds(given.network, given.network.layers[0][1][_SCORE], planes, planes[:0])
@@ -72,7 +74,7 @@ def depth_bounds(
 def error_planes(frame: RgbdFrame, found: DepthMap) -> tuple[Floats, np.float32]:
     """Return the planes ``INPUTS``, (F, H, W) float32, and the noise of the frame, pixels.
 
-    Disparities are in multiples of the noise; distances, steps and contrasts are logarithms.
+    Disparities are in multiples of the noise; distances, steps and contrasts are binary logarithms.
     """
     measured = frame.disparity
     known, noise = ~np.isnan(measured), np.float32(noise_level(measured))
@@ -135,13 +137,13 @@ def _log2(values: Any, smallest: float) -> Any:
 
 
 def _distance(pixels: Mask) -> Floats:
-    """Return the distance of each of the pixels from the others, at most ``_FAR`` pixels."""
+    """Return the distance of each of ``pixels`` from the nearest other pixel, at most ``_FAR``, 0 at the others."""
     found = cv2.distanceTransform(pixels.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
     return np.asarray(np.minimum(found, np.float32(_FAR)), np.float32)
 
 
 def _roughness(values: Floats) -> Floats:
-    """Return the second difference of each value and its neighbors, that along the row or the column, the smaller."""
+    """Return the absolute second difference along the row or the column, whichever is smaller."""
     padded = np.pad(values, 1, mode="edge")
     across, down = padded[1:-1, 2:] + padded[1:-1, :-2], padded[2:, 1:-1] + padded[:-2, 1:-1]
     return np.asarray(np.minimum(np.abs(across - 2 * values), np.abs(down - 2 * values)), np.float32)
@@ -152,7 +154,7 @@ def _mean(values: Floats | Mask, side: int) -> Floats:
 
 
 def _largest_around(values: Floats) -> Floats:
-    """Return the largest value within about 10 pixels, by cells."""
+    """Return the largest value within about 10 pixels, constant within cells of 4 x 4."""
     height, width = values.shape
     padded = np.pad(values, ((0, -height % _CELL), (0, -width % _CELL)), mode="edge")
     cells = padded.reshape(padded.shape[0] // _CELL, _CELL, padded.shape[1] // _CELL, _CELL).max(axis=(1, 3))

@@ -1,4 +1,4 @@
-"""Motion of the camera between two frames: estimated from both, and what the first frame shows in the second's view."""
+"""Motion of the camera between two frames: its estimation, and the projection of a frame into the next view."""
 
 from __future__ import annotations
 
@@ -12,36 +12,36 @@ from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.maps import Doubles, Floats, Image8, Ints, Mask
 from depthcli.kernels.jit import jit, run_bands
 
-# Sizes of usual trackers; nothing in the repository varies them.
-_MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE = 400, 0.01, 8  # count, share of the best one's score, pixels
-_MIN_INLIERS, _MIN_INLIER_SHARE = 30, 0.5  # tracked corners that agree with a motion
-_UNCERTAIN = 3  # pixels
-_REPROJECTION = 1.0  # pixels, of a corner that agrees
+# Common values for trackers; nothing in the repository varies them.
+_MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE = 400, 0.01, 8  # count, share of the best corner's score, pixels
+_MIN_INLIERS, _MIN_INLIER_SHARE = 30, 0.5  # tracked corners that must agree with a motion
+_UNCERTAIN = 3  # width of the uncertain band along steps and unreached pixels, pixels
+_REPROJECTION = 1.0  # largest reprojection error of an inlier, pixels
 
 
 @dataclass(frozen=True)
 class MovedView:
-    """What the frame before shows in the view of the next one."""
+    """The previous frame, projected into the view of the next frame."""
 
-    source: Ints  # (H, W), row x width + column in the frame before; 0 where nothing of it is seen
-    reached: Mask  # (H, W), something of it is seen there
+    source: Ints  # (H, W), row x width + column in the previous frame; 0 if not reached
+    reached: Mask  # (H, W), a pixel of the previous frame is projected there
     disparity: Floats  # (H, W), pixels in the next view, NaN = none
-    color: Image8  # (H, W, 3), interpolated; arbitrary where nothing is seen
-    certain: Mask  # (H, W), reached, and not beside a step of disparity or unreached pixels
+    color: Image8  # (H, W, 3), interpolated; arbitrary if not reached
+    certain: Mask  # (H, W), reached, and not near a disparity step or unreached pixels
 
 
 def view_after(
     motion: Doubles, color: Image8, disparity: Floats, camera: Intrinsics, fb: float, max_step: float
 ) -> MovedView:
-    """Project a frame into the view after a motion; of several pixels in one place the nearest is seen.
+    """Project a frame into the view after a motion; if several pixels fall in one place, the nearest is seen.
 
-    Whole pixels are carried, so that an edge is up to half a pixel off, which would add up from frame to frame: pixels
-    there are not certain.
+    Positions are rounded to whole pixels, so edges are off by up to half a pixel. These errors would add up over
+    frames, so pixels near edges are not certain.
 
     Parameters
     ----------
-    motion : (4, 4), brings the frame's coordinates to those of the next view, meters
-    max_step : largest within a surface, pixels of disparity; gaps of one pixel are closed within surfaces
+    motion : (4, 4), from the frame's coordinates to the next view's coordinates, meters
+    max_step : largest disparity step within a surface, pixels; gaps of one pixel are closed within surfaces
     """
     shape = disparity.shape
     source, values = np.full(shape, -1, np.int32), np.full(shape, np.nan, np.float32)
@@ -59,7 +59,7 @@ def view_after(
 
 
 def displacement(motion: Doubles, disparity: Floats, camera: Intrinsics, fb: float) -> float:
-    """Return how far the image moves, pixels: the 90th percentile over a grid; 0 where no pixel has a disparity."""
+    """Return how far the image moves, pixels: the 90th percentile over a grid; 0 if no pixel has a disparity."""
     rows, columns = (axis.ravel() for axis in np.mgrid[: disparity.shape[0] : 16, : disparity.shape[1] : 16])
     known = ~np.isnan(disparity[rows, columns])
     rows, columns = rows[known], columns[known]
@@ -76,10 +76,10 @@ def displacement(motion: Doubles, disparity: Floats, camera: Intrinsics, fb: flo
 def estimated_motion(
     color: Image8, next_color: Image8, disparity: Floats, camera: Intrinsics, fb: float
 ) -> Doubles | None:
-    """Estimate the motion of the camera from corners that are tracked from one frame to the next; None: too few agree.
+    """Estimate the camera's motion from corners tracked between two frames; None if too few corners agree.
 
-    Corners are tracked by the method of Lucas and Kanade, and the motion, (4, 4) from the first frame's coordinates to
-    those of the next, meters, is that of a perspective-n-point problem with RANSAC.
+    Corners are tracked by the Lucas-Kanade method. The motion, (4, 4) from the first frame's coordinates to the next
+    frame's coordinates, in meters, solves a perspective-n-point problem with RANSAC.
     """
     grey, next_grey = (cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in (color, next_color))
     corners = cv2.goodFeaturesToTrack(grey, _MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE)
@@ -107,13 +107,13 @@ def estimated_motion(
 
 
 def _pixel_motion(motion: Any, camera: Intrinsics) -> tuple[Doubles, Doubles]:
-    # A pixel p = (x, y, 1) of depth z moves to that of A p + b / z, and its depth to z (A p + b / z)[2].
+    # Return A and b: a pixel p = (x, y, 1) of depth z moves to the pixel q = A p + b / z, with depth z q[2].
     return camera.matrix @ motion[:3, :3] @ np.linalg.inv(camera.matrix), camera.matrix @ motion[:3, 3]
 
 
 @jit
 def _moved(a, b, x, y, inverse):
-    # Column and row that a pixel of this inverse depth moves to, and the factor of its depth.
+    # Return the column and row that a pixel of this inverse depth moves to, and the factor of its depth.
     w = a[2, 0] * x + a[2, 1] * y + a[2, 2] + b[2] * inverse
     u = (a[0, 0] * x + a[0, 1] * y + a[0, 2] + b[0] * inverse) / w
     v = (a[1, 0] * x + a[1, 1] * y + a[1, 2] + b[1] * inverse) / w
@@ -133,14 +133,14 @@ def _splat(disparity, a, b, fb, source, values):
                 continue
             i, j = int(np.floor(v + 0.5)), int(np.floor(u + 0.5))
             value = np.float32(d / w)
-            if not values[i, j] >= value:  # true where it is unknown
+            if not values[i, j] >= value:  # True if unknown
                 values[i, j] = value
                 source[i, j] = y * width + x
 
 
 @jit
 def _close(source, values, max_step):
-    # Gaps of one pixel, first along rows, then along columns.
+    # Close gaps of one pixel, first along rows, then along columns.
     height, width = values.shape
     for dy, dx in ((0, 1), (1, 0)):
         for y in range(dy, height - dy):
@@ -155,11 +155,11 @@ def _close(source, values, max_step):
 
 @jit
 def _places(begin, end, values, a, b, fb, columns, rows):
-    # Where the pixels of the next view lie in the frame before; -1 where they are not seen.
+    # Write the positions of the next view's pixels in the previous frame; -1 if not seen.
     width = values.shape[1]
     for y in range(begin, end):
         for x in range(width):
             columns[y, x], rows[y, x] = -1, -1
             u, v, w = _moved(a, b, x, y, values[y, x] / fb)
-            if w > 0:  # False where it is unknown
+            if w > 0:  # False if unknown
                 columns[y, x], rows[y, x] = u, v

@@ -1,4 +1,4 @@
-"""Candidates for the disparity of every unreliable pixel, the modes of the votes around it, and the choice of one."""
+"""Candidates for the disparity of every unreliable pixel (the modes of the votes around it), and the choice of one."""
 
 from __future__ import annotations
 
@@ -14,60 +14,60 @@ from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.gap_limits import SLOPE_FADE, GapLimits
 
-# Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
+# Values of the published preset refine-kinect accurate; nothing in the repository varies them.
 LEVELS = ((1, 5), (4, 36), (12, 108))
 """Stride and reach of the voters: every pixel within 5, every fourth within 36, every twelfth within 108 pixels."""
 _BIN = 5 / 3  # width of a bin of the histogram, multiples of the noise
-_SPACE_SCALES = 2.0 * 1.1 ** np.arange(32)  # scales of distance that weights are tabulated for, pixels
+_SPACE_SCALES = 2.0 * 1.1 ** np.arange(32)  # distance scales for which weights are tabulated, pixels
 _MIN_SHARE = 0.01  # smaller modes are no candidates
-_MIN_SIMILARITY = 0.002  # of colors, however different
-_MIN_LIKELIHOOD_RATIO = 0.3  # of a pixel's color on its own surface to that on surfaces behind it
-_MIN_OPENING_DISTANCE = 9  # pixels: nearer ones may lie in the same opening
+_MIN_SIMILARITY = 0.002  # floor of the color similarity
+_MIN_LIKELIHOOD_RATIO = 0.3  # likelihood of a pixel's color on its own surface / on surfaces behind it
+_MIN_OPENING_DISTANCE = 9  # pixels: nearer pixels may belong to the same opening
 _OPENING_REACH = 36  # pixels
 OPENING_LEVEL = 1
-"""The level of voters that openings are sought with."""
-_OPENING_GRID, _OPENING_SQUARE = 3, 5  # one pixel of a square of 3 x 3 is tested, for all of 5 x 5 around it
+"""Index in ``LEVELS`` of the voters for the detection of openings."""
+_OPENING_GRID, _OPENING_SQUARE = 3, 5  # each tested pixel, one per 3 x 3, decides for the 5 x 5 around it
 _OPENING_SCALE = 20.0  # distance over which weights fall by 1/e, pixels
 AGREEMENT = 4.0
 """A candidate agrees with the measurement if it differs by less than this, multiples of the noise."""
 _SHARE_FLOOR = 0.08  # added to every share of votes, so that small shares cost about the same
-_MAX_PROBABILITY = 0.97  # largest probability that a measurement is correct, and that it is wrong
+_MAX_PROBABILITY = 0.97  # largest probability that a measurement is correct, and that it is incorrect
 _EDGE_COLOR = 12.0  # contrast over which smoothness falls by 1/e, L1 in 8-bit Lab
-_MIN_WEIGHT = 0.02  # of smoothness, across the strongest color edge
-_MAX_EXTRA_COST = 4.0  # candidates that cost more than the cheapest by this are left out
-_NEIGHBORS = ((0, 1), (1, -1), (1, 0), (1, 1), (0, -1), (-1, 1), (-1, 0), (-1, -1))  # dy, dx: first those behind it
+_MIN_WEIGHT = 0.02  # smoothness weight across the strongest color edge
+_MAX_EXTRA_COST = 4.0  # largest extra cost over the cheapest candidate; costlier candidates are dropped
+_NEIGHBORS = ((0, 1), (1, -1), (1, 0), (1, 1), (0, -1), (-1, 1), (-1, 0), (-1, -1))  # dy, dx: later pixels first
 
 
 class Voters(NamedTuple):
-    """The planes that vote: those of every n-th pixel of every n-th row."""
+    """The planes that vote: one at every n-th pixel of every n-th row."""
 
     planes: Floats  # (4, h, w): value and slopes, pixels; weight, 0 = does not vote
     colors: Image8  # (3, h, w), Lab
 
     @classmethod
     def of(cls, lab: Image8, planes: WindowPlanes, trust: Floats, stride: int) -> Voters:
-        """Return every n-th plane with the weight ``trust`` (H, W) of its pixel, times the n x n pixels of its cell."""
+        """Return every n-th plane, n = ``stride``, with its pixel's ``trust`` (H, W) times n x n as weight."""
         *plane, weight, colors = (each[::stride, ::stride] for each in (*planes[:3], trust, lab))
         weight = np.where(np.isnan(plane[0]), np.float32(0), weight * np.float32(stride * stride))
         return cls(np.nan_to_num(np.stack([*plane, weight])), np.ascontiguousarray(colors.transpose(2, 0, 1)))
 
 
 class ExtraVotes(NamedTuple):
-    """Surfaces that get votes beside those of the planes around; both (n, H, W) float32."""
+    """Surfaces that get votes in addition to the planes around; both (n, H, W) float32."""
 
     values: Floats  # pixels, NaN = none
-    shares: Floats  # of the votes of the planes, which each of them gets in addition
+    shares: Floats  # additional votes for each surface, as a share of the planes' votes
 
 
 class VotedModes(NamedTuple):
-    """The strongest modes of the votes for N pixels, at most K of each; both (N, K) float32."""
+    """The strongest modes of the votes for N pixels, at most K per pixel; both (N, K) float32."""
 
     values: Floats  # pixels, strongest first, NaN = no more
-    shares: Floats  # of the votes, 0 where there is no candidate
+    shares: Floats  # share of the votes, 0 if there is no candidate
 
 
 class Observed(NamedTuple):
-    """What is known of the pixels that candidates are chosen for, (H, W)."""
+    """Observations that decide between candidates, (H, W)."""
 
     lab: Image8  # (H, W, 3)
     disparity: Floats  # measured, pixels, NaN = unknown
@@ -83,22 +83,22 @@ class Observed(NamedTuple):
 
 
 class Costs(NamedTuple):
-    """What differences of disparity cost."""
+    """Costs of disparity differences between neighbors."""
 
-    noise: float  # pixels, the unit of the others
-    smoothness: float  # weight of a difference between neighbors of one color
-    truncation: float  # largest difference that counts
+    noise: float  # standard deviation, pixels; unit of the other fields
+    smoothness: float  # weight of a difference between neighbors of equal color
+    truncation: float  # larger differences cost no more
 
 
 class _Bins(NamedTuple):
-    # Of a histogram of disparities.
+    # Layout of a histogram of disparities.
     low: np.float32
     per_pixel: np.float32
     bins: int
 
 
 class _Histogram(NamedTuple):
-    # Votes of one pixel, (bins, 2) float32: mass, and mass x value; first and last bin that has any; lower end, scale.
+    # Votes for one pixel, (bins, 2) float32: mass, and mass x value; first and last bin with votes; lower end; scale.
     votes: Floats
     extent: Ints
     low: np.float32
@@ -121,17 +121,17 @@ def cast_votes(
     sigma_color: float,
     sigma_space: Floats,
 ) -> VotedModes:
-    """Compute the candidates for the disparity of some pixels: the strongest modes of the votes, ``count`` at most.
+    """Compute disparity candidates for some pixels: the strongest modes of the votes, at most ``count`` per pixel.
 
-    Each voter votes for its plane, continued to the pixel along slopes that fade with distance, with the
-    weight ``exp(-|Lab difference|_1 / sigma_color - |offset|_1 / sigma_space)``, times the factor of ``limits`` above
-    them.
+    Each voter votes for its plane, continued to the pixel with a slope that fades with distance. The weight of a vote
+    is ``exp(-|Lab difference|_1 / sigma_color - |offset|_1 / sigma_space)``, times the pixel's factor in ``limits`` if
+    the disparity exceeds the limit.
 
     Parameters
     ----------
     pixels : (N, 2) int32, row and column
-    voters : for each of ``LEVELS``
-    noise : of the disparity, pixels
+    voters : one for each of ``LEVELS``
+    noise : standard deviation of the disparity, pixels
     sigma_color, sigma_space : L1 in 8-bit Lab; (H, W) float32, pixels
     """
     shape = len(pixels), count
@@ -183,7 +183,7 @@ def _vote(begin, end, pixels, scale, lab, planes, colors, limits, extra, similar
 
 @jit
 def _gather(y, x, color, voters, inner, limit, similarity, space, histogram):
-    # Adds the votes of one level to the histogram; those within ``inner`` pixels belong to the finer level.
+    # Add the votes of one level to the histogram, except within ``inner`` pixels, which belong to the finer level.
     planes, colors, (stride, reach) = voters
     largest, factor = limit
     light, a, b = np.int32(color[0]), np.int32(color[1]), np.int32(color[2])
@@ -214,13 +214,13 @@ def _gather(y, x, color, voters, inner, limit, similarity, space, histogram):
 
 @jit
 def _nth_within(at, reach, stride, size):
-    # First and end of every n-th pixels, n = ``stride``, that lie within reach.
+    # Return the range of n for which pixel n x stride is within reach.
     return max((at - reach + stride - 1) // stride, 0), min((at + reach) // stride + 1, size)
 
 
 @jit
 def _add_vote(histogram, weight, disparity):
-    # Returns what was added: 0 for disparities beyond the ends of the histogram.
+    # Return the added weight: 0 for disparities beyond the ends of the histogram.
     k = np.int32((disparity - histogram.low) * histogram.per_pixel)
     if k < 1 or k >= len(histogram.votes) - 1:
         return np.float32(0)
@@ -233,7 +233,7 @@ def _add_vote(histogram, weight, disparity):
 
 @jit
 def _modes(histogram, total, values, shares):
-    # Takes the modes out of a histogram, the strongest first.
+    # Remove the modes from a histogram, the strongest first.
     votes, extent = histogram.votes, histogram.extent
     for i in range(values.size):
         best, top = np.float32(0), -1
@@ -259,13 +259,13 @@ def _modes(histogram, total, values, shares):
 def hidden_openings(
     lab: Image8, planes: WindowPlanes, voters: Voters, trusted: Mask, jump: float, sigma_color: float
 ) -> Mask:
-    """Select the measured pixels, (H, W) bool, whose color is that of a surface behind the measured one.
+    """Select the measured pixels, (H, W) bool, whose color belongs to a surface behind the measured one.
 
-    A pixel is selected if its color is much less likely on the surface that was measured there than on those farther
-    away within 36 pixels. Only the color shows an opening that near surfaces have grown over from both sides.
+    A pixel is selected if its color is much less likely on the measured surface than on farther surfaces within 36
+    pixels. Only the color shows an opening that near surfaces have grown over from both sides.
 
-    ``voters`` are those of ``OPENING_LEVEL``, ``trusted`` pixels are tested, and what is farther by ``jump`` pixels
-    lies behind.
+    ``voters`` belong to ``OPENING_LEVEL``. Only ``trusted`` pixels are tested. A surface is behind another if it is
+    farther by more than ``jump`` pixels of disparity.
     """
     space = np.exp(-np.arange(_OPENING_REACH + 1) / _OPENING_SCALE).astype(np.float32)
     shape = trusted.shape
@@ -321,12 +321,12 @@ def _test_openings(begin, end, lab, around, planes, colors, trusted, similarity,
 def choose_candidates(
     pixels: Ints, found: VotedModes, planes: WindowPlanes, evidence: Observed, costs: Costs, iterations: int
 ) -> Floats:
-    """Choose a value for every unreliable pixel, (H, W) float32; NaN where it has no candidate, and elsewhere.
+    """Choose a value for every unreliable pixel, (H, W) float32; NaN at other pixels, and if there is no candidate.
 
-    The cost of a candidate is ``-ln(share + 0.08)`` and, where something was measured, ``-ln`` of the probability
-    that it is correct (for candidates close to it) or wrong; differences of neighbors cost, less across color edges.
-    TRW-S minimizes the sum. ``pixels`` (N, 2) int32 are the unreliable pixels in raster order; at reliable pixels
-    ``planes`` are the fixed neighbors.
+    A candidate costs ``-ln(share + 0.08)``. If its pixel has a measurement, it also costs ``-ln`` of the probability
+    that the measurement is correct (for candidates close to it) or incorrect (for others). Differences between
+    neighbors add costs, less across color edges. TRW-S minimizes the sum. ``pixels`` (N, 2) int32 are the unreliable
+    pixels in raster order; reliable neighbors are fixed to their ``planes``.
     """
     chosen = np.full(evidence.disparity.shape, np.nan, np.float32)
     candidates = np.zeros((len(pixels), found.values.shape[1] + 1), np.float32)
@@ -394,7 +394,7 @@ def _costs(begin, end, pixels, found, evidence, planes, costs, candidates, unary
 
 @jit
 def _drop_expensive(unary, candidates, count):
-    # Moves the cheap candidates to the front, in order; the cost of the others becomes infinite.
+    # Move the cheap candidates to the front, in order; set the cost of the others to infinity.
     cheapest = np.float32(np.inf)
     for i in range(count):
         cheapest = min(cheapest, unary[i])

@@ -1,8 +1,8 @@
-"""What depth edges say of the measurements beside them: distances, and the probability that they are correct.
+"""Measurements next to depth edges: their distance from the edge, and the probability that they are correct.
 
-A sensor that matches windows shows near surfaces too wide, by an amount that depends on the sensor, and registration
-to the color camera shifts them. Averaged over all depth edges of a frame, the contrast of the color image peaks at
-the true outline: its profile across the edges is the distribution of their offsets.
+A sensor that matches windows shows near surfaces too wide, by an amount that depends on the sensor. Registration to the
+color camera also shifts them. Averaged over all depth edges of a frame, the contrast of the color image peaks at the
+true outline, so the contrast profile across the edges gives the distribution of the outline's offset.
 """
 
 from __future__ import annotations
@@ -14,39 +14,39 @@ from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadows
 
-# Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
+# Values of the published preset refine-kinect accurate; nothing in the repository varies them.
 MIN_OFFSET, MAX_OFFSET = -6, 14
 """Range of an outline's offset from a depth edge, pixels into the near side."""
-_MAX_SLOPE = 0.2  # steps over a gap that are smaller are slopes, pixels of disparity a pixel
-_PROFILE_REACH = 20  # pixels on both sides of an edge of the contrast profile
+_MAX_SLOPE = 0.2  # smaller steps over a gap are slopes, pixels of disparity per pixel
+_PROFILE_REACH = 20  # length of the contrast profile on each side of an edge, pixels
 _MAX_CONTRAST = 20.0  # larger contrast counts as this, L1 in 8-bit Lab
 _PEAK_END = 0.15  # the profile's peak ends where it falls below this share of its height
 _PRIOR_EDGES = 100.0  # weight of the prior distribution of offsets, edges of full contrast
 _MIN_PRIOR_SHARE = 0.1  # smallest share of the prior in the distribution of offsets
-_GAP_EDGE_PROBABILITY = 0.5  # that a gap without a step hides a surface behind its rims
-_WIDE_GAP_PROBABILITY = 0.6  # that an edge is at its place if its gap is wider than a shadow
-_MIXED_PIXEL_SHARE = 0.75  # of the pixels on an outline that belong to the near surface
-_MIN_RUN_PROBABILITY = 0.6  # largest probability in a run of pixels nearer than the pixels beside it is at least this
+_GAP_EDGE_PROBABILITY = 0.5  # probability that a gap without a step hides a surface behind its rims
+_WIDE_GAP_PROBABILITY = 0.6  # probability that an edge is at its place if its gap is wider than a shadow
+_MIXED_PIXEL_SHARE = 0.75  # share of the pixels on an outline that belong to the near surface
+_MIN_RUN_PROBABILITY = 0.6  # floor of the largest probability in a run of pixels nearer than an adjacent run
 
 
 def correct_probability(lab: Image8, disparity: Floats, jump: float, shadows: Shadows) -> Floats:
     """Compute the probability that a measured value belongs to the surface that the color image shows there.
 
-    It is (H, W) float32 in [0, 1]; 1 far from all edges, and where nothing was measured.
+    Returns (H, W) float32 in [0, 1]; 1 far from all edges, and at unknown pixels.
     """
     across = _along_rows(lab, disparity, jump, _GAP_EDGE_PROBABILITY, shadows)
     upright = np.ascontiguousarray(lab.transpose(1, 0, 2)), np.ascontiguousarray(disparity.T)
-    # No sensor's shadows run along columns: a gap there says nothing of surfaces behind its rims.
+    # No sensor has shadows along columns, so a gap there is no evidence of surfaces behind its rims.
     return np.asarray(across * _along_rows(*upright, jump, 0.0, Shadows()).T, np.float32)
 
 
 def _along_rows(lab: Image8, disparity: Floats, jump: float, gap_probability: float, shadows: Shadows) -> Floats:
     offsets = outline_offsets(lab, disparity, jump)
-    # The pixel on the outline mixes both colors and has half of the contrast on its inner side: it still belongs to
-    # the near surface.
+    # A pixel on the outline mixes both colors and has half of the contrast on its inner side. Most of these pixels
+    # still belong to the near surface.
     inside = np.cumsum(offsets, axis=1) + _MIXED_PIXEL_SHARE * np.column_stack([offsets[:, 1:], np.zeros(2)])
     inside, result = inside.astype(np.float32), np.empty_like(disparity)
-    # Probability that a measurement is wrong, by its distance from the edge: on the near side, on the far side.
+    # Probability that a measurement is incorrect, by its distance from the edge: on the near side, on the far side.
     near, far = np.float32(1) - inside[:, -MIN_OFFSET:], np.ascontiguousarray(inside[:, -MIN_OFFSET::-1])
     sides = shadows.left, shadows.right
     widths = np.array([(side.scale, side.covered) for side in sides], np.float32)
@@ -59,10 +59,10 @@ def _along_rows(lab: Image8, disparity: Floats, jump: float, gap_probability: fl
 
 
 def outline_offsets(lab: Image8, disparity: Floats, jump: float) -> Doubles:
-    """Estimate the distribution of the outline's offset from the depth edges of the rows, (2, offsets) float64.
+    """Estimate the distribution of the outline's offset from depth edges in rows, (2, offsets) float64.
 
-    The first row is for edges whose near side lies on their right, the second for the others; both sum to 1. Element
-    i is the probability that the true near surface starts ``MIN_OFFSET + i`` pixels inside the measured one.
+    The first row is for edges with the near side on their right, the second for the others; each sums to 1. Element i
+    is the probability that the true near surface starts ``MIN_OFFSET + i`` pixels inside the measured one.
     """
     sums = np.zeros((len(disparity), 2, 2 * _PROFILE_REACH))
     counts = np.zeros((len(disparity), 2), np.int64)
@@ -81,7 +81,7 @@ def outline_offsets(lab: Image8, disparity: Floats, jump: float) -> Doubles:
         outside = np.flatnonzero(excess <= _PEAK_END * excess[top])
         excess[: outside[outside < top].max(initial=-1) + 1] = 0
         excess[outside[outside > top].min(initial=excess.size) :] = 0
-        n_edges = excess.sum() / _MAX_CONTRAST * count  # of full contrast
+        n_edges = excess.sum() / _MAX_CONTRAST * count  # number of edges of full contrast
         share = (1 - _MIN_PRIOR_SHARE) * n_edges / (n_edges + _PRIOR_EDGES)
         distributions.append(share * excess / max(excess.sum(), 1e-9) + (1 - share) * prior)
     return np.array(distributions)
@@ -143,8 +143,8 @@ def _probability(begin, end, disparity, jump, near, far, gap_probability, widths
 
 @jit
 def _lower(d, q, x, step, k, jump, wrong, probability):
-    # Lowers the probabilities q from x on, at distance k from the edge, to the end of the surface or of ``wrong``: the
-    # probability, by distance, that a measurement is wrong.
+    # Lower the probabilities q from x on, at distance k from the edge, to the end of the surface or of ``wrong``, the
+    # probability by distance that a measurement is incorrect.
     last = x
     while k < wrong.size and 0 <= x < d.size:
         if not np.isnan(d[x]):
@@ -158,7 +158,7 @@ def _lower(d, q, x, step, k, jump, wrong, probability):
 
 @jit
 def _raise_thin_runs(d, q, jump):
-    # A run nearer than a neighboring one shows an object, however thin: somewhere in it the value is right.
+    # A run nearer than an adjacent run shows an object, however thin, so one of its values is correct.
     start, last = -1, -1
     raised = False
     for x in range(d.size):
@@ -179,14 +179,15 @@ def _raise_thin_runs(d, q, jump):
 
 
 def near_side(disparity: Floats, jump: float, row_band: int, column_band: int, gap_tolerance: float = 2.5) -> Mask:
-    """Select the pixels, (H, W) bool, at most some pixels inside the near side of a depth edge of the row or column.
+    """Select the known pixels, (H, W) bool, in bands on the near side of depth edges.
 
-    A depth edge is a step of more than ``jump`` between consecutive known pixels. The shadow that a near surface throws
-    on a far one is as wide as the step between them: where a gap in a row is wider than that by ``gap_tolerance``
-    pixels, something else lies in it, and either side may have grown over it: both sides count as near.
+    The bands are ``row_band`` and ``column_band`` pixels wide. A depth edge is a step of more than ``jump`` between
+    consecutive known pixels. The shadow of a near surface on a far one is as wide as the step between them. If a gap in
+    a row is wider by more than ``gap_tolerance`` pixels, it contains another surface that either side may have grown
+    over, so both sides count as near.
     """
     selected = np.zeros(disparity.shape, np.bool_)
-    # No shadows fall along columns.
+    # There are no shadows along columns.
     for values, band, tolerance, out in (
         (disparity, row_band, gap_tolerance, selected), (disparity.T, column_band, np.inf, selected.T),
     ):  # fmt: skip
@@ -203,7 +204,7 @@ def _distance_along_rows(begin, end, disparity, jump, tolerance, nearest):
     for y in range(begin, end):
         d, out = disparity[y], nearest[y]
         for step in (1, -1):
-            start, last = -1, -1  # first pixel of the near side that x lies on, previous known pixel; -1: none
+            start, last = -1, -1  # first pixel of x's near side, previous known pixel; -1: none
             for k in range(width):
                 x = k if step == 1 else width - 1 - k
                 if np.isnan(d[x]):

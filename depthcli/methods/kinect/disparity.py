@@ -1,4 +1,4 @@
-"""Disparity of a frame: as it was measured, its noise, its reliable pixels, and the depth it was refined to."""
+"""Disparity of a frame: the measured values, their noise, the reliable pixels, and conversion to refined depth."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from depthcli.methods.kinect.depth_edges import correct_probability
 from depthcli.methods.kinect.gap_limits import max_disparity_in_gaps
 from depthcli.methods.kinect.shadows import Shadows, Side, shadows_of
 
-_NOISE_SAMPLES = 60_000  # second differences along either axis: as many give the median within a percent
-_NOISE_REACH = 3  # pixels between values of a second difference: noise that neighbors share shows there
-_MAX_NOISE = 3.0  # standard deviations: a measurement that moves by more was wrong, not noisy
-_CORE_PROBABILITY = 0.6  # of an unreliable pixel that is more probably correct than its neighbors: of thin objects
-_MIN_RELATIVE_DISPARITY = np.float32(1e-3)  # of a value, over the smallest measured disparity; below it is none
+_NOISE_SAMPLES = 60_000  # second differences along either axis: enough for the median within a percent
+_NOISE_REACH = 3  # distance between the values of a wide second difference, pixels: shows noise that neighbors share
+_MAX_NOISE = 3.0  # standard deviations: a measurement that moves by more was incorrect, not noisy
+_CORE_PROBABILITY = 0.6  # smallest probability of a core pixel, e.g. on thin objects
+_MIN_RELATIVE_DISPARITY = np.float32(1e-3)  # share of the smallest measured disparity; smaller values count as none
 
 
 def measured_disparity(frame: RgbdFrame) -> Floats:
-    """Return the frame's disparity, (H, W) float32 pixels, NaN = unknown; ValueError where no pixel is known."""
+    """Return the frame's disparity, (H, W) float32 pixels, NaN = unknown; ValueError if no pixel is known."""
     disparity = frame.disparity
     if np.isnan(disparity).all():
         raise ValueError("no pixel of the frame has a depth")
@@ -36,9 +36,10 @@ def measured_disparity(frame: RgbdFrame) -> Floats:
 def noise_level(disparity: Floats, floor: float = 0.1) -> float:
     """Estimate the standard deviation of a disparity map's noise, in pixels: the unit of thresholds on disparities.
 
-    From the median of the second differences along rows and columns, which slopes do not change and edges hardly
-    do. Where most of them are 0 the values are rounded: then that of rounding to their median step. At least ``floor``:
-    triangulating sensors interpolate and smooth to about 1/8 pixel, and noise that neighbors share hardly shows.
+    The estimate comes from the median second difference along rows and columns. Slopes do not change the median, and
+    edges hardly do. If it is 0, the values are rounded, and the estimate is the rounding error for their median step.
+    The result is at least ``floor``: triangulating sensors interpolate and smooth to about 1/8 pixel, and second
+    differences hardly show noise that neighbors share.
     """
     every = max(1, disparity.size // _NOISE_SAMPLES)
     lines = disparity[::every], disparity[:, ::every].T
@@ -66,26 +67,27 @@ class Measurement:
     shadows: Shadows
     probability: Floats  # that a measured value belongs to the surface of its pixel; 1 without colors
     reliable: Floats  # the disparity without unreliable pixels
-    core: Mask  # the more probable ones of the unreliable pixels; thin objects have no others
-    limit: Floats  # largest disparity that fits the gap, inf where the gap is no shadow
+    core: Mask  # the more probable unreliable pixels; thin objects have no others
+    limit: Floats  # largest disparity that a shadow allows, inf outside shadows
 
     @classmethod
     def of(
         cls, frame: RgbdFrame, jump: float, min_probability: float, where: bool | Side, noise: float | None = None
     ) -> Measurement:
-        """Classify the pixels of a frame; ValueError where none has a depth.
+        """Classify the pixels of a frame; ValueError if none has a depth.
 
         Parameters
         ----------
         jump : larger steps are depth edges, multiples of the noise
-        min_probability : measurements that are correct with less probability are unreliable; 0: none
-        where : shadows lie, see :func:`shadows_of`
+        min_probability : measurements with a smaller probability of being correct are unreliable; 0: none
+        where : sides of the shadows, see :func:`shadows_of`
+        noise : standard deviation of the disparity, pixels; None: estimated
         """
         disparity = measured_disparity(frame)
         noise = noise_level(disparity) if noise is None else noise
         shadows = shadows_of(disparity, jump * noise, where)
         lab, probability = frame_lab(frame), np.ones_like(disparity)
-        if min_probability and frame.has_color:  # without colors nothing shows true outlines
+        if min_probability and frame.has_color:  # without colors, true outlines are unknown
             probability = correct_probability(lab, disparity, jump * noise, shadows)
         unreliable = ~np.isnan(disparity) & (probability < min_probability)
         reliable = np.where(unreliable, np.float32(np.nan), disparity)
@@ -95,7 +97,7 @@ class Measurement:
 
 
 def nearest_fill(values: Floats) -> Floats:
-    """Fill unknown values with the nearest known one (Euclidean distance as ``cv2.distanceTransform`` has it)."""
+    """Fill unknown values with the nearest known value, by the approximate Euclidean distance of OpenCV."""
     unknown = np.isnan(values)
     if not unknown.any() or unknown.all():
         return values.copy()
@@ -116,9 +118,9 @@ def refined_depth(
     ----------
     disparity : (H, W) float32 refined, pixels, NaN = none. Values that are not positive, or farther than 1000 times
         the farthest measurement, count as none
-    noise : of the measurement, pixels: a measured value that moved by more than three times the noise is
-        ``CORRECTED``, by less ``SMOOTHED``
-    fallback : (H, W) bool, gaps filled from around instead of by the model
+    noise : standard deviation of the measurement, pixels. A measured value that moved by more than three times the
+        noise is ``CORRECTED``, by less ``SMOOTHED``
+    fallback : (H, W) bool, gaps filled from neighbors instead of by the model
     """
     clock.start("result")
     measured = frame.disparity

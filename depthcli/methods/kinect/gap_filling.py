@@ -1,4 +1,4 @@
-"""Gaps filled along the cheapest paths: each pixel continues the surface of the known pixel that a path joins it to."""
+"""Fill gaps along the cheapest paths: each pixel continues the surface of the known pixel that its path starts from."""
 
 from __future__ import annotations
 
@@ -12,41 +12,41 @@ from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.gap_limits import SLOPE_FADE
 
 UNRELIABLE_COST = 15.0
-"""Of paths that start at unreliable pixels, pixels of length."""
+"""Initial cost of paths that start at unreliable pixels, pixels of path length."""
 
-# Chosen for refine-kinect dsrm on simulated sensors and on blocks taken out of real frames; nothing varies them.
-_COLOR_COST = 0.2  # of a path, per L1 in 8-bit Lab; a pixel of its length costs 1
-_BORDER_COST = 5.0  # of crossing the border of a segment
-_SHADOW_COST = 1000.0  # of a surface that a shadow rules out: it is taken only without another
+# Chosen for refine-kinect dsrm on simulated sensors and on blocks cut out of real frames; nothing varies them.
+_COLOR_COST = 0.2  # cost per L1 difference in 8-bit Lab along a path; a pixel of length costs 1
+_BORDER_COST = 5.0  # cost of crossing the border of a segment
+_SHADOW_COST = 1000.0  # cost of a surface that a shadow rules out: it is the last resort
 _SWEEPS = 4
 # Exchanges after which the fifth of nine numbers is their median (Paeth, Graphics Gems, 1990).
 _MEDIAN_OF_NINE = tuple(
     (int(pair[0]), int(pair[1]))
     for pair in "12 45 78 01 34 67 12 45 78 03 58 47 36 14 25 47 42 64 42".split()  # noqa: SIM905
 )
-_SMOOTHING_STRIDES = (12, 8, 6, 4, 3, 2, 1)  # pixels; the first ones reach across the widest gaps that are common
-_BLOCK = 256  # pixels whose medians are found at once
-_MAX_CONTRAST = 35  # of pixels that smooth each other, L1 in 8-bit Lab
+_SMOOTHING_STRIDES = (12, 8, 6, 4, 3, 2, 1)  # pixels; the first strides reach across the widest common gaps
+_BLOCK = 256  # number of pixels whose medians are computed at once
+_MAX_CONTRAST = 35  # largest contrast of pixels that smooth each other, L1 in 8-bit Lab
 
 
 def fill_gaps(
     values: Floats, lab: Image8, segments: Ints | None, limit: Floats | None, cost: Floats, noise: float | None
 ) -> tuple[Floats, Mask]:
-    """Fill the unknown pixels of a disparity map; NaN stays only where nothing is known at all.
+    """Fill the unknown pixels of a disparity map. NaN remains only if no pixel is known.
 
-    A path costs its length, the differences of color along it, and the borders of segments that it crosses. The value
-    is that of the plane around the path's start, whose slope fades with distance. As paths to neighboring pixels may
-    start far from each other, the result is smoothed by medians of pixels of similar color.
+    The cost of a path is its length, the color differences along it, and the segment borders that it crosses. A filled
+    value continues the plane around the path's start, with a slope that fades with distance. Paths to neighboring
+    pixels may start far from each other, so medians over pixels of similar color smooth the result.
 
     Parameters
     ----------
     values : (H, W) float32, pixels, NaN = unknown
     segments : (n, H, W) int32, layers of segments, or None
-    limit : (H, W) float32, largest possible disparity, pixels; inf where there is none, None: nowhere
-    cost : (H, W) float32 >= 0, of paths that start at a known pixel; less reliable ones cost more
-    noise : of the values, pixels; None: level surfaces, which takes less time
+    limit : (H, W) float32, largest possible disparity, pixels; inf = no limit; None: no limits
+    cost : (H, W) float32 >= 0, initial cost of paths that start at a known pixel; unreliable pixels cost more
+    noise : standard deviation of the values, pixels; None: continue values without slope, which is faster
 
-    Returns the disparity and (H, W) bool, unknown pixels joined to a known one of their own segment in some layer.
+    Returns the disparity and (H, W) bool, unknown pixels joined to a known pixel of the same segment in some layer.
     """
     known = ~np.isnan(values)
     unknown = np.flatnonzero(~known)
@@ -72,7 +72,7 @@ def fill_gaps(
         slope = planes.slope_x[from_y, from_x] * right + planes.slope_y[from_y, from_x] * down
         fade = 1 + (right * right + down * down) / np.float32(SLOPE_FADE**2)
         filled[y, x] = planes.value[from_y, from_x] + slope / fade
-    # Medians of pixels of similar color; values above the limit come from beyond the shadow: they are not taken.
+    # Medians over pixels of similar color. Smoothed values above the limit come from beyond the shadow and are dropped.
     source, smoothed = filled.copy(), filled.copy()
     for stride in _SMOOTHING_STRIDES:
         run_bands(_median, (len(pixels) + _BLOCK - 1) // _BLOCK, source, pixels, lab, stride, smoothed)
@@ -90,8 +90,8 @@ def _exchange(low, high):
 
 @jit
 def _median(begin, end, source, pixels, lab, stride, out):
-    # Nine samples a pixel, sorted by a network as far as their median needs. A sample of another color, or outside of
-    # the map, counts as the pixel itself does.
+    # A sorting network of nine samples per pixel, cut down to the median. A sample of another color, or outside the
+    # map, is replaced by the pixel's own value.
     height, width = source.shape
     for block in range(begin, end):
         samples = np.empty((9, _BLOCK), np.float32)
@@ -118,16 +118,13 @@ def _median(begin, end, source, pixels, lab, stride, out):
 
 @jit
 def passed(y, x, step, k):
-    """Return the place of the k-th of the four neighbors that a raster sweep has passed; ``step`` -1 is a sweep back.
-
-    For other kernels.
-    """
+    """Return row and column of the k-th of four neighbors already passed by a raster sweep; ``step`` -1: backwards."""
     return (y, x - step) if k == 0 else (y - step, x + k - 2)
 
 
 @jit
 def _join(pixels, lab, segments, limit, values, start, total):
-    # Raster sweeps in turn from both ends, as of a chamfer distance; paths that wind more often are missed.
+    # Raster sweeps alternate in direction, as for a chamfer distance; they miss paths with more turns than sweeps.
     height, width = limit.shape
     for sweep in range(_SWEEPS):
         step = 1 - 2 * (sweep & 1)

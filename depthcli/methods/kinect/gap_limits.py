@@ -1,4 +1,4 @@
-"""Which surfaces gaps allow: limits that shadows set, and the surfaces behind shadows."""
+"""Surfaces that gaps allow: limits from shadows, and the surfaces behind shadows."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadow, Shadows, gaps_of
 
-# Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
+# Values of the published preset refine-kinect accurate; nothing in the repository varies them.
 SHADOW_FACTOR, GAP_FACTOR, HOLE_FACTOR = 0.02, 0.06, 0.5
-"""Likelihood of a surface that is nearer than a shadow allows: in a shadow, another gap, a hole of one surface."""
+"""Likelihood of a surface nearer than a shadow allows: in a shadow, in another gap, in a hole of one surface."""
 SHADOW_BAND = 8
 """Width of the band on the right of a shadow where the near surface may have grown over the far one, pixels."""
 SLOPE_FADE = 20.0
-"""Distance from a surface at which half of its slope is left when it is continued, pixels."""
+"""Distance at which a continued surface has half of its slope, pixels."""
 _MAX_COLOR_DIFFERENCE = 10  # between a hole and the surface around it, L1 in 8-bit Lab
-# Share of the votes that the surface on the left of a shadow gets: least; where the shadow is as wide as its step.
+# Smallest share of the votes for the surface on the left of a shadow, and largest: for a shadow as wide as its step.
 _MIN_EXTRA_SHARE, _MAX_EXTRA_SHARE = 0.1, 0.6
 _EXTRA_SHARE_SCALE = 2.0  # pixels between the shadow's width and the step over which the share falls by 1/e
 
@@ -29,11 +29,11 @@ class GapLimits(NamedTuple):
     """The largest disparity that a shadow allows at each pixel; both (H, W) float32."""
 
     value: Floats  # pixels, inf outside gaps
-    factor: Floats  # likelihood of surfaces above it, in (0, 1]; 1 outside gaps and without shadows
+    factor: Floats  # likelihood of surfaces above the limit, in (0, 1]; 1 outside gaps and without shadows
 
 
 class _Sizes(NamedTuple):
-    # The shadows on one side as kernels take them, float32.
+    # The shadows on one side, as float32 for kernels.
     scale: np.float32
     covered: np.float32
     jump: np.float32
@@ -45,7 +45,7 @@ class _Sizes(NamedTuple):
 
 @jit
 def _is_shadow(gap, step, sizes):
-    # Whether a gap beside a step is as wide as the shadow of the step.
+    # Return whether a gap is as wide as the shadow of its step.
     return step > sizes.jump and abs(gap + sizes.covered - sizes.scale * step) <= np.float32(WIDTH_TOLERANCE)
 
 
@@ -68,7 +68,7 @@ def shadow_limits(
 
 @jit
 def _rim_contrast(lab, d, y, u, left, right):
-    # Smallest difference of color between pixel u and the first few known ones beyond the rims of its gap.
+    # Return the smallest color difference between pixel u and the known ones of the first 8 pixels beyond each rim.
     smallest = np.int32(1000)
     for k in range(8):
         for v in (left - k, right + k):
@@ -95,19 +95,19 @@ def _limits(begin, end, limit, limit_factor, holes, factors, sizes, tolerance, l
                 one_surface = off < tolerance + np.float32(0.05) * far
             for u in range(last + 1, x):
                 if one_surface:
-                    # a hole in one surface, if the color is that of the rims
+                    # a hole in one surface, if its color is similar to the rims' colors
                     factor = factors[2 if _rim_contrast(lab, d, y, u, last, x) < _MAX_COLOR_DIFFERENCE else 1]
                 limit[y, u] = d[x] - (np.float32(x - u) + sizes.covered) / sizes.scale + tolerance
                 limit_factor[y, u] = factor
 
 
 def max_disparity_in_gaps(disparity: Floats, jump: float, shadows: Shadows, tolerance: float = 2.5) -> Floats:
-    """Compute the largest disparity (H, W) float32 that a gap allows if it is a shadow; inf where it is none.
+    """Compute the largest disparity (H, W) float32 that shadows allow in gaps; inf elsewhere.
 
-    One value per gap, from its rims only (:func:`shadow_limits` is finer, and weighs). A gap of n pixels beside a step
-    is the shadow of its near side on a surface that is farther by about n pixels of disparity: on the far side of the
-    step, if that is as far, or else on a surface behind it, unless holes are as probable. Gaps between known pixels
-    that differ by less than ``jump`` are taken for reflections.
+    Each gap gets one value, from its rims only; :func:`shadow_limits` is finer and weights the limits. A gap of n
+    pixels at a step is the shadow of its near side on a surface about n pixels of disparity farther. This is the far
+    side of the step if it fits. Otherwise it is a surface behind the far side, unless holes are at least as probable.
+    Gaps between known pixels that differ by at most ``jump`` are no shadows.
     """
     limit = np.full(disparity.shape, np.inf, np.float32)
     for shadow, step, _ in shadows.sides():
@@ -135,9 +135,9 @@ def _max_in_gaps(begin, end, limit, disparity, behind, sizes, tolerance):
 def shadow_background(disparity: Floats, planes: WindowPlanes, jump: float, shadows: Shadows) -> tuple[Floats, Floats]:
     """Compute the disparity of the surface behind each shadow and the band beyond it, and its share of the votes.
 
-    It is the surface on the far side, continued along its slope. A shadow is as wide as the step to the surface that it
-    falls on: the nearer its width is to the step to the surface on the far side, the larger the share. Both are
-    (H, W) float32: pixels, NaN = no shadow; the share of all votes that the background gets in addition.
+    This surface is the far side of the step, continued along its slope. A shadow is as wide as the step to the surface
+    behind it, so the share is larger if the width is closer to the step. Both results are (H, W) float32: disparity in
+    pixels, NaN = no shadow; and the background's additional votes as a share of all votes.
     """
     background, extra_share = np.full(disparity.shape, np.nan, np.float32), np.zeros(disparity.shape, np.float32)
     for shadow, step, _ in shadows.sides():

@@ -1,4 +1,4 @@
-"""Layers of segments: the surface of each segment of a layer, and the disparity that follows from all layers."""
+"""Layers of segments: a surface for each segment of a layer, and the disparity computed from all layers."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from depthcli.methods.kinect.disparity import Measurement
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
 
 SHADOW_PENALTY = 1000.0
-"""Cost of a surface that a shadow rules out: above any path of colors, so that it is taken only without another."""
-_BOUNDARY_COST = 10  # of a common boundary of one pixel, grey levels; value of the shipped presets, not varied
-_COLUMNS = 64  # a task of the vertical pass: whole cache lines
+"""Cost of a surface that a shadow rules out: higher than any color path, so that such a surface is the last resort."""
+_BOUNDARY_COST = 10  # cost of a common boundary one pixel long, grey levels; value of the shipped presets, not varied
+_COLUMNS = 64  # columns per task of the vertical pass: whole cache lines
 
 _KEPT, _FILLED, _CORRECTED = int(DepthStatus.KEPT), int(DepthStatus.GAP_FILLED), int(DepthStatus.CORRECTED)
 _FALLBACK, _EMPTY, _SMOOTHED = int(DepthStatus.FALLBACK), int(DepthStatus.EMPTY), int(DepthStatus.SMOOTHED)
@@ -40,10 +40,11 @@ class Polynomial(ConfigModel):
     samples: int = Field(400, ge=100, description="largest number of pixels per segment that are used, evenly spread")
 
     def __call__(self, values: Floats, labels: Ints, floor: float, start: Surfaces | None = None) -> Surfaces:
-        """Fit ``values`` (H, W), NaN = unknown, segment by segment of ``labels`` (H, W) int32, 0 .. n - 1; -1: none.
+        """Fit a surface to ``values`` (H, W), NaN = unknown, in each segment of ``labels``.
 
-        ``floor`` is the smallest scale of residuals, what the sensor resolves; ``start`` the surfaces of the same
-        segments in the previous frame: a segment of which too little is known in this one keeps its surface.
+        ``labels`` is (H, W) int32, 0 .. n - 1, -1 = no segment. ``floor`` is the smallest scale of residuals, the
+        sensor's resolution. ``start`` are the surfaces of the same segments in the previous frame: a segment with too
+        few known pixels in this frame keeps its surface.
         """
         limits = self.huber or np.inf, self.iterations, self.warm_iterations, self.samples
         return fit_polynomials(values, labels, start, self.degree, *limits, floor)
@@ -53,12 +54,12 @@ class Polynomial(ConfigModel):
 class Layer:
     """A partition of the frame with a surface for every part."""
 
-    labels: Ints  # (H, W), the surface of every pixel, -1 where there is none
+    labels: Ints  # (H, W), index of each pixel's surface, -1 = none
     surfaces: Surfaces
     own: Mask  # (H, W), the surface was fitted to the pixel's own segment, not to one that it joined
 
     def estimate(self, reliable: Floats, reach: float) -> tuple[Floats, Floats]:
-        """Evaluate value and scale, (H, W) float32, with detail within ``reach`` pixels of reliable ones; 0: none."""
+        """Return value and scale, (H, W) float32, with detail near reliable pixels (``reach`` pixels; 0: no detail)."""
         values = self.surfaces.at(self.labels)
         if reach:
             add_detail(values, reliable, self.labels, self.surfaces.scale, reach)
@@ -77,15 +78,15 @@ class RefinedDisparity:
     def of(
         cls, layers: list[Layer], measurement: Measurement, reach: float, tolerance: float, smooth: bool
     ) -> RefinedDisparity:
-        """Combine layers: their median where a measurement is unknown, or unreliable and far from it.
+        """Combine layers: use their median if a measurement is unknown, or if it is unreliable and far from the median.
 
-        In gaps paths from known pixels replace the median; what differs from it there is that uncertain.
+        In gaps, paths from known pixels replace the median; their difference from it counts as uncertainty.
 
         Parameters
         ----------
-        reach : of detail, see :meth:`Layer.estimate`
+        reach : reach of detail, see :meth:`Layer.estimate`
         tolerance : a measured value that is off by more scales contradicts the surface
-        smooth : replace measured values that agree with the surface, too
+        smooth : also replace measured values that agree with the surface
         """
         measured, reliable, noise = measurement.disparity, measurement.reliable, np.float32(measurement.noise)
         values, scales = (np.empty((len(layers), *measured.shape), np.float32) for _ in range(2))
@@ -105,7 +106,7 @@ class RefinedDisparity:
         return cls(filled, np.where(known, scale, uncertain), np.where(known, status, filled_status))
 
     def to_depth(self, frame: RgbdFrame) -> DepthResult:
-        """Convert to depth; kept measurements have the sensor's exact value."""
+        """Convert to depth; kept measurements retain the sensor's exact depth."""
         depth = depth_of_disparity(self.disparity, frame.fb)
         kept = self.status == DepthStatus.KEPT
         depth[kept] = frame.depth[kept]
@@ -166,13 +167,13 @@ def _decide(begin, end, values, scales, own, disparity, reliable, tolerance, noi
 
 
 def join_segments(labels: Ints, modelled: Mask, surfaces: Surfaces, color: Image8, limit: Floats) -> Ints:
-    """Assign a surface to every segment: its own, or that of the modelled segment that it joins.
+    """Assign a surface to every segment: its own surface, or the surface of the modelled segment that it joins.
 
-    Each segment without a model joins along the path of least cost through neighbors. A step costs the sum of the
-    absolute differences of the mean colors, 10 over the root of the length of the common boundary, and
-    ``SHADOW_PENALTY`` where the surface would be nearer than ``limit``, that of the shadow in which the segment lies.
+    Each segment without a model joins along the cheapest path through neighbors. A step costs the sum of the absolute
+    differences of the mean colors, plus 10 / sqrt(length of the common boundary), plus ``SHADOW_PENALTY`` if the
+    surface would be nearer than the segment's mean shadow ``limit``.
 
-    Returns (n,) int32 indices of surfaces for the n segments; -1 where no model reaches.
+    Returns (n,) int32 indices of surfaces for the n segments; -1 if no model reaches a segment.
     """
     count = modelled.size
     owners = np.where(modelled, np.arange(count, dtype=np.int32), np.int32(-1))
@@ -187,7 +188,7 @@ def join_segments(labels: Ints, modelled: Mask, surfaces: Surfaces, color: Image
 
 @jit
 def _statistics(labels, color, limit, count):
-    # Mean color, center (y, x), and mean limit of every segment; inf where at most a third has a limit.
+    # Return mean color, center (y, x), and mean limit of every segment; inf if at most a third of its pixels has one.
     height, width = labels.shape
     sums = np.zeros((count, 8), np.int64)  # size, three colors, y, x, pixels with a limit
     limit_sums = np.zeros(count, np.float64)
@@ -241,11 +242,11 @@ def _join(owners, mean, segment_center, limits, starts, neighbors, boundary, coe
 
 
 def add_detail(surface: Floats, known: Floats, labels: Ints, scale: Floats, reach: float) -> None:
-    """Add to ``surface``, in place, the smoothed residuals of the ``known`` values around in the same segment.
+    """Add to ``surface``, in place, the smoothed residuals of nearby ``known`` values in the same segment.
 
-    The weight falls by e in ``reach`` pixels along a path within the segment, first along the row, then along the
-    column. Far from all known pixels the surface stays as it is: a residual counts against half a pixel of zeros.
-    Residuals above three of the segment's ``scale`` count as three.
+    The weight falls by a factor e per ``reach`` pixels along a path within the segment, first along the row, then along
+    the column. A prior of zero with the weight of half a pixel keeps the surface unchanged far from all known pixels.
+    Residuals are limited to three times the segment's ``scale``.
     """
     weights, residuals = (np.empty(surface.shape, np.float32) for _ in range(2))
     decay = np.float32(np.exp(-1 / reach))

@@ -1,10 +1,10 @@
-"""Shadows: gaps beside near surfaces, which say what surfaces can lie in them. Each frame shows where they lie.
+"""Shadows: gaps next to near surfaces. Their side and width, measured in each frame, limit the surfaces in them.
 
-Pixels left of a near surface that the camera sees but a projector on its right does not reach have no depth: of a
-row, the pixels x with ``x - d(x) >= x' - d(x')`` for a nearer pixel x' on their right. On one surface that is a strip
-as wide as the step of disparity. With another baseline than the one that depth was turned into disparity with, it is
-wider or narrower by a factor; where the near surface has grown over its shadow, by some pixels. A depth map that was
-moved into the pixels of a color camera has such gaps on the right of near surfaces as well.
+If the projector is on the camera's right, it does not reach some pixels left of a near surface. These pixels have no
+depth: in a row, the pixels x with ``x - d(x) >= x' - d(x')`` for a nearer pixel x' on their right. On one far surface
+they form a strip as wide as the disparity step. If depth was converted to disparity with another baseline, the strip is
+wider or narrower by a factor. If the near surface has grown over its shadow, the strip is narrower by some pixels. A
+depth map that was registered to a color camera also has such gaps on the right of near surfaces.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ import numpy as np
 from depthcli.core.maps import Floats
 from depthcli.kernels.jit import jit
 
-# Chosen on simulated sensors and on blocks taken out of real frames; nothing in the repository varies them.
+# Chosen on simulated sensors and on blocks cut out of real frames; nothing in the repository varies them.
 WIDTH_TOLERANCE = 4.0
-"""Pixels by which a gap that counts as a shadow may be wider or narrower than one."""
-_MAX_WIDTH_DIFFERENCE = 3.0  # between a gap and the width of a shadow that still count as equal, pixels
-_FULL_SHARE = 0.5  # share of gaps as wide as shadows, above that of chance, from which on the confidence is 1
-_PRIOR_ROWS = 0.25  # gaps added to those of the frame, as if not as wide as shadows, for each row: an object's rows
-_PRIOR_PAIRS = 20.0  # pairs of gaps added to those of different steps
-_PRIOR_CHANCE = 0.1  # that a gap is as wide as a shadow by chance
-_SCALES = 2.0 ** np.linspace(-2, 0.5, 21)  # of shadows: pixels of width a pixel of step
-_COVERED = np.arange(9.0)  # pixels of a shadow that the near surface may cover
-_LIKELY = 0.4  # confidence from which a side's gaps are taken for shadows
-_MIN_OF_BEST = 0.4  # confidence of a side, as a share of the other side's, below which it has none by chance
-_MIN_GAIN = 1.2  # by which more gaps must agree with another width than with that of their step
-_MAX_GAPS = 2000  # more do not change the estimate
-_STEP_WEIGHT = 2.0  # of a pixel in a gap beside a step that is no shadow, beside one in a hole of one surface
+"""Largest difference between a gap's width and a shadow's width if the gap counts as a shadow, pixels."""
+_MAX_WIDTH_DIFFERENCE = 3.0  # largest difference of widths that count as equal, pixels
+_FULL_SHARE = 0.5  # excess share of gaps as wide as shadows, above chance, at which the confidence reaches 1
+_PRIOR_ROWS = 0.25  # prior number of gaps that are no shadows, per row of the frame: about as many as an object has
+_PRIOR_PAIRS = 20.0  # prior number of pairs of gaps with different steps
+_PRIOR_CHANCE = 0.1  # prior probability that a gap is as wide as a shadow by chance
+_SCALES = 2.0 ** np.linspace(-2, 0.5, 21)  # candidate widths of a shadow per pixel of step
+_COVERED = np.arange(9.0)  # candidate numbers of shadow pixels that the near surface covers
+_LIKELY = 0.4  # smallest confidence at which a side's gaps are taken for shadows
+_MIN_OF_BEST = 0.4  # a side with a smaller share of the other side's confidence has no shadows
+_MIN_GAIN = 1.2  # another width must fit more gaps than the width of their step, by this factor
+_MAX_GAPS = 2000  # more gaps do not change the estimate
+_STEP_WEIGHT = 2.0  # weight of a pixel in a non-shadow gap next to a step; a pixel in a hole of one surface has 1
 _STEEPNESS = 6  # exponent of the ratio in the odds of holes
-_EQUAL_RATIO = 6.5  # of the pixels in gaps that are no shadows to those in shadows, at which holes are as probable
+_EQUAL_RATIO = 6.5  # non-shadow gap pixels / shadow pixels at which the probability of holes is 0.5
 
 
 @dataclass(frozen=True)
 class Shadow:
     """The shadows on one side of near surfaces."""
 
-    confidence: float = 0.0  # 0 .. 1, that gaps beside steps are shadows
-    scale: float = 1.0  # width of a shadow per pixel of the step beside it
-    covered: float = 0.0  # pixels of it that the near surface has grown over
+    confidence: float = 0.0  # confidence that gaps next to steps are shadows, 0 .. 1
+    scale: float = 1.0  # width of a shadow per pixel of its step
+    covered: float = 0.0  # pixels of a shadow that the near surface has grown over
 
 
 @dataclass(frozen=True)
@@ -52,23 +52,23 @@ class Shadows:
 
     left: Shadow = Shadow()
     right: Shadow = Shadow()
-    p_hole: float = 0.0  # probability that the sensor missed what lies in other gaps, which nothing hides
+    p_hole: float = 0.0  # probability that the other gaps are holes: visible surfaces that the sensor missed
 
     def figures(self) -> dict[str, float]:
-        """Return what was measured, as numbers for the report."""
+        """Return widths and confidences of both sides, for the report."""
         sides = {"left": self.left, "right": self.right}
         widths = {f"shadow_width_{name}": round(side.scale, 3) for name, side in sides.items()}
         return widths | {f"shadows_{name}": round(side.confidence, 3) for name, side in sides.items()}
 
     def likely(self) -> Shadows:
-        """Return the sides of which it is likely that they have shadows at all, for methods that do not weigh."""
+        """Return only the sides that probably have shadows, for methods that do not weight by confidence."""
         left, right = (side if side.confidence >= _LIKELY else Shadow() for side in (self.left, self.right))
         return Shadows(left, right, self.p_hole)
 
     def sides(self) -> Iterator[tuple[Shadow, int, bool]]:
-        """Yield each side that has shadows, 1 or for the right one -1, and whether holes are judged by it.
+        """Yield each side that has shadows, its column step (1 left, -1 right), and whether holes are judged by it.
 
-        Along columns in steps of -1 the shadows on the right are those on the left of a mirrored frame.
+        With column step -1 the frame is mirrored, and its shadows on the right are on the left.
         """
         holes_right = self.right.confidence > self.left.confidence
         min_confidence = _MIN_OF_BEST * max(self.left.confidence, self.right.confidence)
@@ -79,11 +79,11 @@ class Shadows:
 
 Side = Literal["left", "right"]
 SHADOW_SIDES = "where shadows lie: true: measured in each frame; left, right of near surfaces; false: there are none"
-"""Description of the option of pipelines."""
+"""Description of the ``shadows`` option of pipelines."""
 
 
 def shadows_of(disparity: Floats, jump: float, where: bool | Side) -> Shadows:
-    """Return what :func:`measure_shadows` finds, of one side alone if ``where`` says so, or nothing for False."""
+    """Return the measured shadows: both sides (True), one side with confidence 1, or none (False)."""
     if where is False:
         return Shadows()
     found = measure_shadows(disparity, jump)
@@ -94,11 +94,11 @@ def shadows_of(disparity: Floats, jump: float, where: bool | Side) -> Shadows:
 
 
 def measure_shadows(disparity: Floats, jump: float) -> Shadows:
-    """Estimate where a frame's shadows lie and how wide they are, from the gaps beside steps.
+    """Estimate the side and width of a frame's shadows from the gaps next to steps.
 
-    The confidence of a side is the share of gaps that are as wide as shadows, above that of gaps with a different step
-    of another one. The more pixels lie in gaps that are no shadows, the more probable are holes. ``jump`` is the
-    smallest step, pixels.
+    The confidence of a side grows with the share of gaps as wide as their step's shadow, in excess of the share as
+    wide as another gap's shadow. Holes are more probable if more pixels are in gaps that are no shadows. ``jump`` is
+    the smallest step, in pixels.
     """
     gaps = _gaps(disparity)
     is_step = np.abs(gaps[:, 1]) > np.float32(jump)
@@ -118,7 +118,7 @@ def measure_shadows(disparity: Floats, jump: float) -> Shadows:
 
 
 def _shadow(gaps: Floats, prior: float) -> tuple[Shadow, float]:
-    # The shadows of one side, and the probability that a gap is as wide as one by chance.
+    # Return the shadows of one side, and the probability that a gap is as wide as a shadow by chance.
     every = 1 + len(gaps) // _MAX_GAPS
     gaps = np.abs(gaps[::every])
     if not len(gaps):
@@ -137,7 +137,10 @@ def _shadow(gaps: Floats, prior: float) -> tuple[Shadow, float]:
 
 @jit
 def gaps_of(d, first):
-    """Return (n, 2), the known pixels beside the gaps within a row, and -1 and the first one if ``first``."""
+    """Return (n, 2), the known pixels on both sides of each gap in a row.
+
+    If ``first``, the gap before the first known pixel counts too, with -1 on its left.
+    """
     ends = np.empty((d.size, 2), np.int64)
     count, last = 0, -1
     for x in range(d.size):
@@ -151,7 +154,7 @@ def gaps_of(d, first):
 
 @jit
 def _gaps(disparity):
-    # (n, 2): width and step of every gap between known pixels of a row.
+    # Return (n, 2): width and step of every gap between known pixels of a row.
     gaps, n = np.empty((disparity.size // 2 + 1, 2), np.float32), 0
     for y in range(disparity.shape[0]):
         d = disparity[y]
@@ -163,7 +166,8 @@ def _gaps(disparity):
 
 @jit
 def _count_fits(gaps, scales, covered, found, pairs):
-    # Gaps as wide as a shadow of their own step, and, of ``pairs`` of gaps, as one of the other gap's different step.
+    # Count the gaps as wide as the shadow of their own step. Among the ``pairs`` of gaps with different steps, count
+    # the gaps as wide as the shadow of the other gap's step.
     n = len(gaps)
     for k in range(n):
         step, other = gaps[k, 1], gaps[(k + n // 2) % n, 1]

@@ -1,4 +1,4 @@
-"""Kernels of the search: costs of all displacements of a voxel, and measures of their curve."""
+"""Kernels of the search: costs of all displacements of a voxel, and measures of the cost curve."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from depthcli.kernels.exponential import attainable_likelihood, likelihood, peak
 from depthcli.kernels.jit import jit
 
 MAX_SMALL_VALUE = 85
-"""Largest value of features of many channels: three differences then fit a byte, which makes the search faster."""
+"""Largest value of features with many channels: three differences then fit a byte, which makes the search faster."""
 
 # Order of the planes written by `search_tiles`.
 PLANES = (
@@ -20,12 +20,12 @@ PLANES = (
 
 @jit
 def _differences(fixed, warped, small_values, row):
-    # Sum over the channels of |fixed - warped|, (C, n) each, into n uint16.
+    # Write the sums over the channels of |fixed - warped|, (C, n) each, to ``row``, n uint16.
     channels = fixed.shape[0]
     n = row.size
     row[:] = 0
     c = 0
-    if small_values:  # three differences of at most 85 fit a byte: a third of the widening
+    if small_values:  # three differences of at most 85 fit a byte: a third of the conversions
         while c + 3 <= channels:
             a, b, d = fixed[c, :n], fixed[c + 1, :n], fixed[c + 2, :n]
             e, f, g = warped[c, :n], warped[c + 1, :n], warped[c + 2, :n]
@@ -44,7 +44,7 @@ def _differences(fixed, warped, small_values, row):
 
 @jit
 def _window_rows(differences, last, total):
-    # Add the last + 1 values from each place on, to as many sums.
+    # Add to ``total`` the sums of last + 1 consecutive differences, from each position on.
     n = total.size
     add(differences, total)
     j = 1
@@ -63,10 +63,10 @@ def _tile_costs(
 ):
     """Write window sums of |fixed - warped| for every displacement, ``shift`` bits coarser, (tz, ty, K, width) uint16.
 
-    ``fixed`` and ``warped``: (Z, sx, C, Y * pitch) of this tile: rows of one pitch one after another, so that a slice
-    is one long loop. Between the rows' ends and the next ones' beginnings the sums are of no use.
+    ``fixed`` and ``warped`` are the tile's (Z, sx, C, Y * pitch): rows follow each other at one pitch, so that a slice
+    is one long loop. Sums between the end of a row and the next row are unused.
 
-    All sums are of integers: they are the same wherever a tile begins.
+    All sums are integers, so they do not depend on the division into tiles.
     """
     tz, ty, pitch = size
     hz, hy, hx = half
@@ -117,7 +117,7 @@ def _tile_costs(
 
 @jit
 def _take(volume, first, stride, count, pitch, out):
-    # Part of a volume (C, Z, Y, sx, X) as (Z, sx, C, Y * pitch).
+    # Copy part of a volume (C, Z, Y, sx, X) to ``out`` (Z, sx, C, Y * pitch).
     for z in range(count[0]):
         for p in range(stride[2]):
             for c in range(volume.shape[0]):
@@ -137,8 +137,8 @@ def _add_scaled(row, factor, out):
 
 @jit
 def _spread(costs, rows):
-    # Smallest cost, mean cost, 1 / deviation and number of cheaper displacements of (K, n) curves: into
-    # rows[0, 1, 3, 7]; the costs of displacement zero: into rows[10].
+    # For (K, n) curves, write smallest cost, mean cost, 1 / deviation, and number of displacements cheaper than zero to
+    # rows[0, 1, 3, 7], and the costs of displacement zero to rows[10].
     count, n = costs.shape[0], rows.shape[1]
     lowest, sums, squares, rate, cheaper, t, base = rows[0], rows[1], rows[2], rows[3], rows[7], rows[8], rows[10]
     first = costs[0]
@@ -163,13 +163,13 @@ def _spread(costs, rows):
         mean = sums[i] * share
         variance = max(squares[i] * share - mean * mean, np.float32(0.0))
         sums[i] = mean + base[i]
-        # A curve without any variation says nothing against displacement zero.
+        # A constant curve is no evidence against displacement zero.
         rate[i] = np.float32(1.0) / np.sqrt(variance) if variance > 0 else np.float32(0.0)
 
 
 @jit
 def _raise(values, power, out):
-    # out = values ** power, by squares and products instead of as many products as the power
+    # out = values ** power, by repeated squaring
     for i in range(out.size):
         out[i] = values[i]
     bit = 1
@@ -187,7 +187,8 @@ def _raise(values, power, out):
 
 @jit
 def _likelihoods(costs, offsets, lengths, power, costly, rows, out):
-    # Sums of likelihoods into rows[4, 5, 6], of lengths and displacements weighted by their powers into out[:5].
+    # Write sums of likelihoods to rows[4, 5, 6], and sums of lengths, squared lengths and displacements, weighted by
+    # powers of the likelihoods, to out[:5].
     n = rows.shape[1]
     lowest, rate, weight, soft, hard, t, e = rows[0], rows[3], rows[4], rows[5], rows[6], rows[8], rows[9]
     weight[:] = 0
@@ -221,9 +222,9 @@ def _likelihoods(costs, offsets, lengths, power, costly, rows, out):
 def _measure_row(costs, offsets, lengths, edge, neighbors, power, scale, costly, rows, out):
     """Write the measures of a row of curves, (K, n) uint16 costs with displacement zero first, to (planes, n) ``out``.
 
-    Leaves the mean cost in ``rows[1]`` and the index of the smallest one in ``rows[8]``.
+    Leaves the mean cost in ``rows[1]`` and the index of the smallest cost in ``rows[8]``.
 
-    Every loop touches few arrays: beyond that the compiler no longer proves them apart, and does not vectorize.
+    Every loop uses few arrays: with more, the compiler cannot prove that they do not overlap, and does not vectorize.
     """
     _spread(costs, rows)
     _likelihoods(costs, offsets, lengths, power, costly, rows, out)
@@ -259,8 +260,8 @@ def _measure_row(costs, offsets, lengths, edge, neighbors, power, scale, costly,
 def _peak_row(costs, before, after, best, mean, rows, out):
     """Write the peak ratio of one row of curves: second smallest local minimum over smallest cost.
 
-    As in stereo a local minimum is below the neighbors that come earlier and not above the later ones, and without a
-    second one the largest cost stands for it. Neighbors are the 26 around a displacement, as far as they are searched.
+    As in stereo, a local minimum is below all earlier neighbors and not above any later one. If there is no second
+    minimum, the largest cost replaces it. Neighbors are the searched displacements among the 26 around one.
     """
     second, highest, early, late = rows[2], rows[3], rows[4], rows[5]
     n = out.size
@@ -304,12 +305,12 @@ def search_tiles(
     fixed : (C, Z + 2 hz, Y + 2 hy, sx, Xs) uint8, voxel x at [x % sx, x // sx]; warped : the same, wider by the reach
     offsets : (K, 3) int64, zero first; lengths : (K,) float32, mm
     edge : (K,) bool, on the border of the search; neighbors : indices of the unit displacements
-    before, after : (K, 13) indices of the displacements around each, -1: not searched
+    before, after : (K, 13) indices of each displacement's neighbors, -1: not searched
     stride : (3,) int64, at most the window's size along each axis
-    tiles : (N, 3) int64 first places, of those measured; tile : largest size
-    shift, scale : bits dropped and what one unit stands for
-    power : 0.5 / k; small_values : no value is above 85; costly : compute AML0, AML and PKR too
-    sums : empty array of the type that holds the sum of a window's layer
+    tiles : (N, 3) int64, first measured voxels of the tiles; tile : largest size
+    shift, scale : dropped bits, and cost of one unit
+    power : 0.5 / k; small_values : no value is above 85; costly : also compute AML0, AML and PKR
+    sums : empty array with the dtype of the sum of a window's layer
     scratch : (workers, tz, ty, K, tx or more) uint16; out : (16, nz, ny, nx) float32, in the order of PLANES
     """
     workers = scratch.shape[0]
@@ -317,12 +318,12 @@ def search_tiles(
     width = scratch.shape[4]
     channels = fixed.shape[0]
     window = stride * (tile - 1) + 1 + 2 * half
-    # A row holds the tile's width in full vectors, what the window takes behind it, and the reach.
+    # A row has the tile's width in full vectors, the rest of the window, and the reach.
     pitch = width + (2 * half[2]) // stride[2] + (2 * reach[2] + stride[2] - 1) // stride[2] + 1
     for w in range(begin, end):
         size = np.empty(3, np.int64)
         count = np.empty(3, np.int64)
-        # Every slice of the first may be read as far as the last slice of the other.
+        # Every slice of ``near`` may be read as far as the last slice of ``far``.
         near = np.zeros((window[0], stride[2], channels, (window[1] + 2) * pitch), np.uint8)
         far = np.zeros(
             (window[0] + 2 * reach[0], stride[2], channels, (window[1] + 2 * reach[1] + 2) * pitch), np.uint8
@@ -353,7 +354,7 @@ def search_tiles(
                     _measure_row(costs[z, y], offsets, lengths, edge, neighbors, power, scale, costly, work, measured)
                     if costly:
                         _peak_row(costs[z, y], before, after, work[8], work[1], work, measured[15])
-                    # What lies behind the tile's end is measured with it, and not copied.
+                    # Voxels behind the tile's end are measured, but not copied.
                     for m in range(len(PLANES)):
                         target = out[m, origin[0] + z, origin[1] + y, origin[2] : origin[2] + last]
                         for i in range(last):

@@ -30,13 +30,13 @@ MEASURES = {
     "pkr": "peak ratio: second smallest local minimum among the 26 neighbors / smallest cost",
 }
 SURER_IF_LARGER = frozenset({"mlm0", "aml0", "cur0", "msm", "mlm", "aml", "pkr"})
-"""Measures that grow with confidence; the others grow with the error."""
+"""Measures that grow with confidence; all others grow with the error."""
 
 COSTLY = frozenset({"aml0", "aml", "pkr"})
 """Measures that are computed only on request: together they take as long as all others."""
 
-_SCRATCH_BYTES = 48 << 20  # for the costs of a tile, in each thread
-_LANES = 32  # rows are measured in whole vectors: the rest of a row would be rounded otherwise
+_SCRATCH_BYTES = 48 << 20  # memory for the costs of a tile, per thread
+_LANES = 32  # rows are measured in whole vectors: rounding would differ in the rest of a row
 _MAX_TILE_WIDTH = 128  # voxels
 
 
@@ -44,16 +44,16 @@ _MAX_TILE_WIDTH = 128  # voxels
 class CurveMeasures:
     """Measures of the cost curves of all measured voxels."""
 
-    # measure -> (z, y, x) float32, at every ``stride``-th voxel; those of ``COSTLY`` only if requested
+    # measure -> (z, y, x) float32, at every ``stride``-th voxel; measures in ``COSTLY`` only if requested
     maps: dict[str, NDArray[np.float32]]
     displacement: NDArray[np.float32]  # (3, z, y, x) float32, expected displacement (z, y, x), mm
-    # (z, y, x) float32, of the displacement about its expectation, mm^2, summed over the axes
+    # (z, y, x) float32, variance of the displacement, mm^2, summed over the axes
     variance: NDArray[np.float32]
-    border: NDArray[np.bool_]  # (z, y, x) bool, the cheapest displacement lies on the border of the search
+    border: NDArray[np.bool_]  # (z, y, x) bool, the cheapest displacement is on the border of the search
 
 
 def displacements(shape: Sequence[int], radius: int, span: SearchShape = "cube") -> NDArray[np.int64]:
-    """Return (K, 3) displacements (z, y, x) in voxels, by length, zero first; none along axes of one voxel."""
+    """Return (K, 3) displacements (z, y, x) in voxels, sorted by length, zero first; 0 along axes of one voxel."""
     sides = [np.arange(-radius, radius + 1) if size > 1 else np.zeros(1, np.int64) for size in shape]
     grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
     grid = grid[np.count_nonzero(grid, axis=1) <= {"cube": 3, "planes": 2, "axes": 1}[span]]
@@ -72,19 +72,20 @@ def search(
     stride: int = 1,
     tile: tuple[int, int, int] | None = None,
 ) -> CurveMeasures:
-    """Compare every voxel with those around its place in the other volume, given channels (C, Z, Y, X) of both.
+    """Compare every voxel with the voxels around its position in the other volume.
 
-    Costs are means of |fixed - warped| over channels and a (2 h + 1)^3 window, on a scale of 0 to 1; outside
-    the volume its border goes on. Among equally cheap displacements the shortest wins.
+    ``fixed`` and ``warped`` are channels (C, Z, Y, X). A cost is the mean of |fixed - warped| over channels and a
+    (2 half_window + 1)^3 window, on a scale of 0 to 1. Volumes are extended by repeating their borders. Among equally
+    cheap displacements the shortest wins.
 
     Parameters
     ----------
-    spacing : mm a voxel; ``radius``, ``half_window`` and ``stride`` are voxels
-    sharpness : 0.5 / k, k of the likelihoods of ``eshift`` and ``vshift`` in deviations of the curve
-    span : which displacements: all, those in the three planes, or on the three axes
-    costly : compute the measures of ``COSTLY`` too
+    spacing : mm per voxel; ``radius``, ``half_window`` and ``stride`` are in voxels
+    sharpness : 0.5 / k; k is the scale of the likelihoods of ``eshift`` and ``vshift``, in deviations of the curve
+    span : displacements: all, in the three planes, or on the three axes
+    costly : also compute the measures in ``COSTLY``
     stride : measure every ``stride``-th voxel along each axis, from the first one on; at most 2 half_window + 1
-    tile : places measured at once; changes time and memory, never the result
+    tile : number of voxels measured at once, (z, y, x); changes time and memory, not the result
     """
     channels, *shape = fixed.shape
     offsets = displacements(shape, radius, span)
@@ -99,7 +100,7 @@ def search(
     lengths = (np.linalg.norm(offsets, axis=1) * spacing).astype(np.float32)
     edge = np.abs(offsets).max(axis=1) == radius
     neighbors = np.flatnonzero((offsets**2).sum(axis=1) == 1)
-    # Indices (K, 13) of the neighbors of each displacement that come before and after it; -1: not searched.
+    # Indices (K, 13) of each displacement's neighbors before and after it; -1: not searched.
     place = {tuple(offset): k for k, offset in enumerate(offsets.tolist())}
     ahead = [step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]
     before, after = (
@@ -137,26 +138,26 @@ def search(
 def search_bytes(
     shape: tuple[int, int, int], channels: int, radius: int, half_window: int, stride: int, workers: int
 ) -> int:
-    """Estimate the memory of :func:`search` beside its inputs, bytes."""
+    """Estimate the memory of :func:`search` in addition to its inputs, bytes."""
     voxels = int(np.prod([-(-n // stride) for n in shape]))
     padded = sum(channels * int(np.prod([n + 2 * r for n in shape])) for r in (half_window, half_window + radius))
     return 3 * padded // 2 + 24 * 4 * voxels + workers * _SCRATCH_BYTES
 
 
 def _tile(shape: tuple[int, ...], count: int) -> tuple[int, int, int]:
-    # The tile whose costs fit the scratch memory of a thread, with the smallest halo that this allows.
+    # Return the tile with the smallest halo whose costs fit the scratch memory of a thread.
     widths = range(_LANES, _MAX_TILE_WIDTH + 1, _LANES)
     width = min(widths, key=lambda w: -(-shape[2] // w) * (w + 8))
     cells = _SCRATCH_BYTES // (2 * count)
     side = max(1, int(np.sqrt(cells / width)))
     z, y, x = min(shape[0], side, 32), min(shape[1], side, 32), min(shape[2], width)
     if -(-shape[0] // z) * -(-shape[1] // y) * -(-shape[2] // x) < n_threads():
-        z = -(-shape[0] // n_threads())  # a small volume is for all threads, too
+        z = -(-shape[0] // n_threads())  # divide a small volume among all threads, too
     return z, y, x
 
 
 def _phases(channels: NDArray[np.uint8], width: NDArray[np.int64], stride: NDArray[np.int64]) -> NDArray[np.uint8]:
-    # (C, Z, Y, sx, Xs): widened by repeating the border, voxel x at [x % sx, x // sx].
+    # Return (C, Z, Y, sx, Xs), widened by repeating the border, with voxel x at [x % sx, x // sx].
     around = [(0, 0), *((int(w), int(w)) for w in width)]
     step = int(stride[2])
     around[3] = (int(width[2]), int(width[2]) + step)

@@ -1,9 +1,9 @@
-"""How wrong each value of a completed depth map may be, by what the frame and the map show, whatever made it.
+"""Error bounds for every value of a completed depth map, from the frame and the map, for any completion method.
 
-Each plane of ``evidence`` adds to a score by a curve, and a table (``algorithms.error_table``) has the errors that were
-found at such scores. There are curves and a table for each kind of pixel: the sensor's values that were kept; values
-that replace it, or fill its gaps; those inside a mask of objects, whose surroundings are continued.
-``scripts/train_glass_bounds.py`` makes them, and checks them on data sets that they were not made of.
+Each plane of ``evidence`` adds to a score by a curve. A table (``algorithms.error_table``) has the distribution of
+errors at each score. There are curves and a table for each kind of pixel: kept values of the sensor; values that
+replace the sensor or fill its gaps; and values inside a mask of objects, continued from the surroundings.
+``scripts/train_glass_bounds.py`` fits them and checks them on held-out data sets.
 """
 
 from __future__ import annotations
@@ -20,28 +20,30 @@ from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthMap, Floats, Mask
 
 EVIDENCE = ("residual", "gap", "gap_width", "distance", "edge", "noise", "border", "relief")
-"""Names of the planes of :func:`evidence`, binary logarithms all: residuals of the samples around, relative to the
-depth; radius of the largest disc without a sample that covers the pixel, over the mean spacing of samples, and over the
-width of the image; distance from the nearest sample, over the width; range of log depth in 7 x 7; noise of the sensor,
-relative to the depth; distance from the nearest pixel that was kept, or was not, over the width; range of log depth in
-a window of an eighth of the width."""
+"""Names of the planes of :func:`evidence`, all binary logarithms.
+
+In order: residuals of the samples around, relative to the depth; radius of the largest disc that covers the pixel and
+no sample, over the mean spacing of samples; the same radius over the width of the image; distance from the nearest
+sample, over the width; range of log depth in 7 x 7; noise of the sensor, relative to the depth; distance from the
+border between kept and other pixels, over the width; range of log depth in a window of an eighth of the width.
+"""
 KINDS = ("kept", "replaced", "unmeasured")
 """Kinds of pixels."""
-_SMALLEST = 2.0**-13  # of what is relative to the depth
-_UNIT = np.float32(2.0**-10)  # of errors of values that were not kept, share of the depth
-_LEAST_NOISE = np.float32(-9.0)  # of the sensor, whose error has a part that is alike at neighbors; binary logarithm
-_REACH = 1.5  # of the mean of residuals, spacings of samples
-_MAX_REACH = 1 / 16  # of it, share of the width
-_NOISE_REACH = 0.02  # of the mean of the sensor's noise, share of the width
+_SMALLEST = 2.0**-13  # floor of the arguments of logarithms
+_UNIT = np.float32(2.0**-10)  # unit of errors of values that were not kept, share of the depth
+_LEAST_NOISE = np.float32(-9.0)  # floor of the sensor's noise: neighbors share a part of it; binary logarithm
+_REACH = 1.5  # Gaussian of the mean of residuals, spacings of samples
+_MAX_REACH = 1 / 16  # its largest value, share of the width
+_NOISE_REACH = 0.02  # Gaussian of the mean of the sensor's noise, share of the width
 
 
 class GlassErrors(NamedTuple):
-    """What turns evidence into bounds.
+    """Curves and tables that convert evidence to error bounds.
 
     Attributes
     ----------
-    curves : (n, 2 + kinds) float64, points of the curves: number of the plane, its value, what it adds for each kind
-    tables : for each kind, the errors found at the negative sums, in multiples of the unit that ``units`` returns
+    curves : (n, 2 + kinds) float64, points of the curves: index of the plane, its value, its addition for each kind
+    tables : for each kind, the errors at the negative sums, in multiples of the unit that ``units`` returns
     """
 
     curves: NDArray[np.float64]
@@ -51,10 +53,10 @@ class GlassErrors(NamedTuple):
 def glass_bounds(
     given: GlassErrors, frame: SparseFrame, found: DepthMap, level: float, within: float
 ) -> tuple[Floats, Floats]:
-    """Return bound and probability of a frame's map, (H, W) float32.
+    """Return error bound and probability of a frame's map, (H, W) float32.
 
-    A share ``level`` of the errors is not larger than the bound, meters, NaN where there is no value; an error up to
-    ``within``, meters, has the probability, 0 where there is no value.
+    The bound, in meters, has the coverage ``level``. The probability is for an error up to ``within`` meters. At pixels
+    without a value the bound is NaN and the probability 0.
     """
     planes = evidence(frame, found)
     kinds, unit = kinds_of(frame, found), units(planes, found)
@@ -68,7 +70,7 @@ def glass_bounds(
 
 
 def kinds_of(frame: SparseFrame, found: DepthMap) -> NDArray[np.int_]:
-    """Return the number of each pixel's kind in ``KINDS``."""
+    """Return the index of each pixel's kind in ``KINDS``, (H, W)."""
     objects = False if frame.objects is None else frame.objects
     return np.where(found.kept, 0, np.where(objects, 2, 1))
 
@@ -80,7 +82,7 @@ def units(planes: NDArray[np.float32], found: DepthMap) -> Floats:
 
 
 def score(curves: NDArray[np.float64], kind: int, planes: NDArray[np.float32]) -> Floats:
-    """Return the negative sum of what the planes (F, ...) add, higher is surer."""
+    """Return the negative sum of the curves' values at ``planes`` (F, ...); higher is more reliable."""
     total = np.zeros(planes.shape[1:], np.float32)
     for number, plane in enumerate(planes):
         points = curves[curves[:, 0] == number]
@@ -89,9 +91,9 @@ def score(curves: NDArray[np.float64], kind: int, planes: NDArray[np.float32]) -
 
 
 def evidence(frame: SparseFrame, found: DepthMap) -> NDArray[np.float32]:
-    """Return the planes of ``EVIDENCE``, (F, H, W) float32, of the map ``found`` for a frame.
+    """Return the planes ``EVIDENCE``, (F, H, W) float32, of the map ``found`` for a frame.
 
-    Where the objects are given, the depth that was kept counts as samples.
+    If the frame has a mask of the objects, kept depths count as samples.
     """
     width = frame.shape[1]
     kept, depth = found.kept, np.where(found.valid, found.values, np.float32(1))
@@ -117,21 +119,21 @@ def evidence(frame: SparseFrame, found: DepthMap) -> NDArray[np.float32]:
 
 
 def _log2(values: NDArray[np.floating[Any]]) -> Floats:
-    # In float64: that of float32 depends on where an array lies in memory, in the last bit.
+    # In float64: the last bit of a float32 logarithm depends on the array's alignment.
     exact = np.log2(np.maximum(np.nan_to_num(values, posinf=1), _SMALLEST), dtype=np.float64)
     return np.asarray(exact, np.float32)
 
 
 def _distance(where: Mask) -> Floats:
-    """Return the distance of every pixel from the nearest one of ``where``, pixels; the diagonal if there is none."""
+    """Return the distance of every pixel from the nearest pixel of ``where``; the image's diagonal if there is none."""
     if not where.any():
         return np.full(where.shape, np.hypot(*where.shape), np.float32)
     found = cv2.distanceTransform((~where).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return np.asarray(np.sqrt(np.rint(found * found)), np.float32)  # OpenCV's last bit is not always the same
+    return np.asarray(np.sqrt(np.rint(found * found)), np.float32)  # OpenCV's last bit varies
 
 
 def _empty_discs(distance: Floats) -> Floats:
-    """Return the radius of the largest disc that covers a pixel and holds no sample, in steps of a factor of 1.4."""
+    """Return the radius of the largest disc that covers a pixel and no sample, in steps of a factor of 1.4."""
     found, radius = distance.copy(), np.float32(1)
     while radius <= distance.max():
         covered = _distance(distance >= radius) <= radius
@@ -141,7 +143,7 @@ def _empty_discs(distance: Floats) -> Floats:
 
 
 def _local_mean(values: Floats, where: Mask, reach: float, common: float) -> Floats:
-    """Return the mean of values at pixels ``where``, by a Gaussian; of ``common`` where hardly one is near."""
+    """Return the Gaussian-weighted mean of the values at pixels ``where``, or ``common`` if hardly one is near."""
     weight, few = _blurred(where.astype(np.float32), reach), np.float32(0.05 / reach**2)
     mean: Floats = (_blurred(np.where(where, values, np.float32(0)), reach) + few * np.float32(common)) / (weight + few)
     return mean
@@ -152,7 +154,7 @@ def _blurred(plane: Floats, sigma: float) -> Floats:
 
 
 def _noise(depth: Floats, reach: float) -> Floats:
-    """Return the binary logarithm of the noise relative to the depth, by second differences of the inverse depth."""
+    """Return the binary logarithm of the noise relative to the depth, from second differences of the inverse depth."""
     inverse = (1 / depth).astype(np.float32)
     total, count = np.zeros_like(depth), np.zeros_like(depth)
     for axis in (0, 1):

@@ -1,4 +1,4 @@
-"""Stereo of a color and an infrared camera: depth of surfaces that the sensor misses (thesis, section 5.1.1)."""
+"""Stereo with a color and an infrared camera: depth of surfaces that the sensor misses (thesis, section 5.1.1)."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from depthcli.methods.stereo.volume import CostVolume
 from depthcli.methods.transparent.match_selection import MatchSelection, local_deviation
 
 Weights = tuple[float, float, float]
-"""Of the red, green and blue channel."""
+"""Weights of the red, green and blue channel."""
 GREY: Weights = (0.299, 0.587, 0.114)
 """Weights of red, green and blue in the luma of ITU-R BT.601."""
-# Values that the presets were published with; nothing in the repository varies them.
+# Values of the published presets; nothing in the repository varies them.
 _MEAN_WINDOW = 15  # side of the window whose mean is subtracted, pixels
-_MIN_CORRESPONDENCES = 500  # pixels of known disparity that weights are fitted to; with fewer, those of grey
-_STRIDE = 7  # every so many-th correspondence is used: neighbors are alike
-_MAX_TILT = 0.3  # vertical over horizontal baseline, beyond which the rectified images would be turned too far
-_MIN_OVERLAP = 0.05  # share of the rectified image that both cameras have to see, to be matched at all
+_MIN_CORRESPONDENCES = 500  # pixels of known disparity that a fit of weights needs; otherwise ``GREY`` is used
+_STRIDE = 7  # every seventh correspondence is used: neighbors are similar
+_MAX_TILT = 0.3  # largest vertical / horizontal baseline: beyond it, rectified images would be turned too far
+_MIN_OVERLAP = 0.05  # smallest share of the rectified image that both cameras see
 _SINGLE = {"r": (1.0, 0.0, 0.0), "g": (0.0, 1.0, 0.0), "b": (0.0, 0.0, 1.0), "grey": GREY}
 # Measures that do not depend on the sensor's response, weighted by consensus (thesis, section 6.4.9).
 _MEASURES: dict[str, Any] = {
@@ -41,7 +41,7 @@ _MEASURES: dict[str, Any] = {
     "exponent": 6,
     "aggregation": {"method": "constant_window", "window": 7},
 }
-# Steps as of ``stereo segments``, but less smooth, and without cutting segments that lack structure.
+# Steps of ``stereo segments``, but less smooth, and without splitting segments that lack structure.
 _STEPS: dict[str, Any] = {
     "window_radius": 0,
     "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
@@ -56,14 +56,14 @@ _STEPS: dict[str, Any] = {
 class CrossModalMatches(NamedTuple):
     """Disparities of a rectified color and infrared pair, (H, W), pixels."""
 
-    dense: Floats  # of every pixel
-    sparse: Floats  # of reliable matches, NaN elsewhere
-    confidence: Floats  # in [0, 1], share of the votes around, or of the margin where that is more
-    weights: Weights  # of the red, green and blue channel; of late fusion 1/3 each
+    dense: Floats  # all pixels
+    sparse: Floats  # reliable matches, NaN elsewhere
+    confidence: Floats  # in [0, 1], share of the votes around or of the margin, whichever is larger
+    weights: Weights  # of the red, green and blue channel; 1/3 each for late fusion
 
 
 class CrossModal(ConfigModel):
-    """Stereo of infrared and of color mixed to resemble it: fused costs, planes over segments, reliable matches."""
+    """Stereo of infrared and color, mixed to resemble infrared: fused costs, planes over segments, reliable matches."""
 
     channels: Literal["early", "late", "r", "g", "b", "grey"] = Field(
         "early", description="early: weighted by the sensor's depth; late: matched one by one; or one alone"
@@ -88,7 +88,7 @@ class CrossModal(ConfigModel):
     def __call__(self, frame: RgbIrFrame, clock: Clock) -> tuple[SparseFrame, dict[str, float]]:
         """Return the frame with sparse depth in the color camera's pixels, and figures for the report.
 
-        InputError where the rig's cameras lie one above the other, or have no common field of view.
+        InputError if one of the rig's cameras is above the other, or if they have no common field of view.
         """
         clock.start("rectify")
         color, infrared, depth, fb, rectified = frame.color, frame.infrared, frame.depth, frame.fb, None
@@ -114,7 +114,7 @@ class CrossModal(ConfigModel):
         return SparseFrame(*given, sparse=sparse, sparse_confidence=confidence, dense=dense), figures
 
     def match(self, color: Image8, infrared: Image8, sensor: Floats) -> CrossModalMatches:
-        """Return the disparities of a rectified pair; ``sensor`` is the sensor's depth as disparity, pixels."""
+        """Return the disparities of a rectified pair; ``sensor`` is the sensor's disparity, pixels."""
         if self.median:
             infrared = np.asarray(cv2.medianBlur(infrared, self.median), np.uint8)
         weights, mixes = self._mixes(color, infrared, sensor)
@@ -134,14 +134,14 @@ class CrossModal(ConfigModel):
         return CrossModalMatches(dense, sparse, np.maximum(confidence, margin_share), weights)
 
     def _mixes(self, color: Image8, infrared: Image8, sensor: Floats) -> tuple[Weights, list[Image8]]:
-        """Return the weights of red, green and blue, and their mix; of late fusion the channels one by one."""
+        """Return the weights of red, green and blue, and their mix; for late fusion, the channels one by one."""
         if self.channels == "late":
             return (1 / 3, 1 / 3, 1 / 3), [np.ascontiguousarray(color[:, :, k]) for k in range(3)]
         weights = learned_weights(color, infrared, sensor) if self.channels == "early" else _SINGLE[self.channels]
         return weights, [mix_channels(color, weights)]
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Estimate of the peak working memory for a frame of ``shape``, in bytes."""
+        """Estimate the peak working memory for a frame of ``shape``, in bytes."""
         top = self.max_disparity or shape[1] // 4
         # The faded costs and two sums of paths; with late fusion also the volumes of three channels.
         bytes_per_cell = 8 + (10 if self.channels == "late" else 0)
@@ -149,7 +149,7 @@ class CrossModal(ConfigModel):
 
 
 def _mean(volumes: list[CostVolume]) -> CostVolume:
-    # Mean of volumes of one scale, weighted at each pixel by the left-right agreement of its winners.
+    # Return the mean of volumes with equal scale, weighted at each pixel by the left-right agreement of its winner.
     if len(volumes) == 1:
         return volumes[0]
     total: NDArray[Any] = np.zeros(volumes[0].costs.shape, np.float32)
@@ -164,11 +164,11 @@ def _mean(volumes: list[CostVolume]) -> CostVolume:
 
 
 def faded_costs(volume: CostVolume, left: Image8, right: Image8, structure_threshold: float) -> CostVolume:
-    """Fade costs towards the pixel's mean cost as far as one of the two windows lacks structure.
+    """Return costs faded towards each pixel's mean cost if one of the two windows lacks structure.
 
-    Order, rank and correlation of a flat window are those of its noise, and saturated windows are all alike: such
-    costs would outweigh those of the few pixels at the outlines. Costs, now uint16 of the same scale, are kept from a
-    standard deviation of ``structure_threshold`` in 9 x 9 on, grey levels, > 0.
+    Order, rank and correlation of a flat window come from its noise, and saturated windows are all alike. Such costs
+    would outweigh the costs of the few pixels at outlines. Costs are kept if the standard deviations in 9 x 9 are at
+    least ``structure_threshold`` > 0, grey levels. The result is uint16, of the same scale.
     """
     threshold = np.float32(structure_threshold)
     shares = [np.minimum(local_deviation(image) / threshold, np.float32(1)) for image in (left, right)]
@@ -182,7 +182,7 @@ def _fade(begin, end, costs, left, right, out):
     _, width, n_disparities = costs.shape
     half = np.float32(0.5)
     for y in range(begin, end):
-        # Mirrored, so that a pixel's right shares run with its disparities; 1 outside the image.
+        # Mirrored, so that the right image's shares are in the order of a pixel's disparities; 1 outside the image.
         mirror = np.ones(width + n_disparities, np.float32)
         for x in range(width):
             mirror[width - 1 - x] = right[y, x]
@@ -202,9 +202,9 @@ def _fade(begin, end, costs, left, right, out):
 def learned_weights(color: Image8, infrared: Image8, disparity: Floats) -> Weights:
     """Fit the weights of the color channels whose mix best follows the infrared image, >= 0 and with sum 1.
 
-    Both are taken without their local mean, so that only structure counts; least squares without negative weights
-    (Chiu et al., BMVC 2011: early fusion). Where the sensor, whose ``disparity`` is given, knows too few pixels, the
-    weights of grey.
+    The local means of both images are subtracted, so that only structure counts. The fit is non-negative least squares
+    (Chiu et al., BMVC 2011: early fusion) over pixels with a known sensor ``disparity``. If there are too few, or no
+    channel follows the infrared image, the result is ``GREY``.
     """
     rows, columns = np.nonzero(np.isfinite(disparity))
     matched = np.rint(columns - disparity[rows, columns]).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Samples of a frame cleaned and fitted, the regions where the sensor is unreliable, and results from inverse depth."""
+"""Removal of outliers among a frame's samples, planes through the others, and results from inverse depth."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from depthcli.core.maps import DepthMap, DepthStatus, Floats, Mask
 from depthcli.core.result import DepthResult
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
 
-# Values that the presets were published with; nothing in the repository varies them.
+# Values of the published presets; nothing in the repository varies them.
 _FIT_TOLERANCE = 3.0  # standard deviations within which a sample agrees with its neighbors
 _SENSOR_TOLERANCE = 2.5  # standard deviations within which a sample agrees with the sensor
 
@@ -25,10 +25,10 @@ class FittedFrame:
     """A frame in inverse depth, (H, W), 1 / m, NaN = unknown, with planes through its samples."""
 
     sensor: Floats
-    samples: Samples  # those that agree with their neighbors or with the sensor
-    noise: float  # their standard deviation
+    samples: Samples  # samples that agree with their neighbors or with the sensor
+    noise: float  # standard deviation of the samples
     fit: Floats  # planes through the samples
-    unreliable: Mask  # the sensor knows the pixel and contradicts the samples
+    unreliable: Mask  # the sensor has a value that contradicts the samples
 
     def sampled(self, values: NDArray[np.floating[Any]]) -> Mask:
         """Select the pixels, (H, W) bool, where a sample at the pixel itself agrees with ``values`` (H, W)."""
@@ -41,7 +41,7 @@ class FittedFrame:
 def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, regions: UnreliableRegions, clock: Clock) -> FittedFrame:
     """Return the frame with outliers removed from its samples, planes through the others, and unreliable regions.
 
-    A sample is an outlier where it agrees neither with the sensor nor with a plane through the samples around it.
+    A sample is an outlier if it agrees neither with the sensor nor with a plane through the samples around it.
     """
     clock.start("samples")
     sensor = inverse_depth(frame.depth)
@@ -52,7 +52,7 @@ def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, regions: UnreliableRegion
     agrees = np.abs(samples.values - own.values) <= _FIT_TOLERANCE * noise
     agrees |= np.abs(samples.values - measured) <= _SENSOR_TOLERANCE * noise
     samples, measured = samples.chosen(agrees), measured[agrees]
-    # Through glass the sensor measures a farther surface: positive where it does. Where it knows none, 0.5.
+    # Positive if the sensor measures a farther surface, as through glass; 0.5 if it has no value.
     nearer = regions.beyond_systematic((samples.values - measured) / noise) / _SENSOR_TOLERANCE
     contradiction = np.clip(np.nan_to_num(nearer, nan=0.5), 0, 1)
     clock.start("fit")
@@ -78,8 +78,8 @@ def refined_depth(
 ) -> DepthResult:
     """Convert inverse depths ``values``, (H, W), to the result of a pipeline.
 
-    The sensor's depth was replaced at ``unreliable`` pixels; a sample at the pixel agrees at ``sampled`` ones, None:
-    at all samples. ``figures`` are for the report.
+    ``unreliable`` are pixels whose sensor depth was replaced. ``sampled`` are pixels with an agreeing sample; None: all
+    pixels with a sample. ``figures`` are for the report.
     """
     known = np.isfinite(frame.depth)
     with np.errstate(divide="ignore", invalid="ignore"):

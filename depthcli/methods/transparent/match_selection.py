@@ -1,4 +1,4 @@
-"""Selection of reliable matches of color and infrared, given the measurements of the sensor."""
+"""Selection of reliable color-infrared matches, given the sensor's measurements."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
 
 class MatchSelection(ConfigModel):
-    """Selection of the matches that are reliable.
+    """Selection of reliable matches.
 
     A match is compared with the sensor's disparity at its pixel:
 
-    - it contradicts the sensor (they differ by more than ``tolerance``): it has to be cheaper by ``margin`` than the
-      sensor's disparity, and no disparity that the sensor has within ``widening`` pixels: windows widen the foreground
-      by half their size;
-    - the sensor has no value: it has to be cheaper by ``blind_margin`` than the mean of the pixel's costs, and no
-      disparity that the sensor has within ``widening`` pixels;
-    - it confirms the sensor: it needs a share ``consensus`` of the votes around, and a ``texture``.
+    - If they differ by more than ``tolerance``, the match contradicts the sensor. It is kept if it is cheaper than the
+      sensor's disparity by more than ``margin``, and if the sensor does not have its disparity within ``widening``
+      pixels: windows widen the foreground by half their size.
+    - If the sensor has no value, the match is kept if it is cheaper than the mean of the pixel's costs by more than
+      ``blind_margin``, and if the sensor does not have its disparity within ``widening`` pixels.
+    - Otherwise the match confirms the sensor. It is kept if it has a share ``consensus`` of the votes around, and the
+      left image has enough ``texture``.
 
-    Of the kept matches, regions smaller than ``speckle`` are removed.
+    Regions of kept matches smaller than ``speckle`` are removed.
     """
 
     margin: float = Field(
@@ -45,15 +46,15 @@ class MatchSelection(ConfigModel):
     ) -> tuple[Floats, Floats]:
         """Return the kept matches, (H, W), NaN = none, and the share of the margin by which they are cheaper, 0 .. 1.
 
-        ``dense`` and ``sensor`` are disparities of the matches and of the sensor, pixels, ``votes`` the share of the
-        votes around, ``volume`` the costs that the matches of the ``pair`` of (H, W) images were found with.
+        ``dense`` and ``sensor`` are the disparities of the matches and of the sensor, pixels. ``votes`` is the share of
+        the votes around. ``volume`` has the costs of the matches. The images of ``pair`` are (H, W).
         """
         known, agrees = np.isfinite(sensor), np.abs(dense - sensor) <= self.tolerance
         mean_cost = volume.costs.mean(axis=2, dtype=np.float32) / np.float32(volume.scale)
         gain = np.where(known, cost_at(volume, sensor), mean_cost) - cost_at(volume, dense)
         margin = np.where(known, self.margin, self.blind_margin)
         confirmed = agrees & (votes >= self.consensus) & (local_deviation(pair.left) >= self.texture)
-        # Widened: the sensor does not have the disparity there, but has it within ``widening`` pixels.
+        # near: the sensor has the match's disparity within ``widening`` pixels
         height, width = dense.shape
         padded = np.pad(sensor, self.widening, constant_values=np.nan)
         near = np.zeros(dense.shape, np.bool_)
@@ -75,9 +76,9 @@ def local_deviation(image: Image) -> Floats:
 
 
 def cost_at(volume: CostVolume, disparity: Floats) -> Floats:
-    """Return the lower of the costs beside a disparity, (H, W) float32, in units of the measure; NaN = unknown.
+    """Return the lower cost of the two integers around a disparity, (H, W) float32, in units of the measure.
 
-    Disparities are clipped to the range of the volume.
+    NaN = unknown disparity. Disparities are clipped to the volume's range.
     """
     max_disparity = np.float32(volume.n_disparities - 1)
     low = np.floor(np.clip(np.nan_to_num(disparity), 0, max_disparity)).astype(np.int64)

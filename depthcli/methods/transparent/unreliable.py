@@ -1,4 +1,4 @@
-"""Regions where the sensor is unreliable: its depth contradicts the samples, over a region that color edges bound."""
+"""Regions where the sensor is unreliable: its depth contradicts the samples, within outlines along color edges."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Sample
 from depthcli.core.maps import Doubles, Floats, Image8, Ints, Mask
 from depthcli.core.method import ConfigModel
 
-# The first three are those of chapter 5 in scripts/thesis, which varies none of them.
-_MAX_SAMPLE_EVIDENCE = 4.0  # of one sample for a region, standard deviations
-_MIN_EXPECTED_SAMPLES = 4.0  # a piece of a region whose area should hold as many is dropped if it holds one or none
+# The first three are the values of chapter 5 in scripts/thesis, which varies none of them.
+_MAX_SAMPLE_EVIDENCE = 4.0  # largest evidence of one sample for a region, standard deviations
+_MIN_EXPECTED_SAMPLES = 4.0  # a piece is dropped if its area should have this many samples, but has one or none
 _SCORE_RANGE = -2, 4  # smallest and largest score of a pixel, half squared deviations
 _OUTLIER = 2.5  # standard deviations beyond which samples do not count for the noise
-_TRUNCATION_LOSS = 0.97  # deviation of a normal distribution cut at 2.5 deviations, over that of the whole one
+_TRUNCATION_LOSS = 0.97  # deviation of a normal distribution cut at 2.5 deviations / deviation of the whole
 
 
 def sample_noise(samples: Samples, sensor: Floats) -> float:
-    """Estimate the standard deviation of good samples about a sensor that is right at most of them.
+    """Estimate the standard deviation of good samples about the sensor, which is correct at most samples.
 
-    1.4826 times the median of the absolute differences, then the deviation of those within 2.5 of it, five times.
-    Where the sensor knows none of the samples' pixels, a hundredth of their median.
+    Start with 1.4826 times the median absolute difference. Five times, replace it by the deviation of the differences
+    within 2.5 times the estimate. If the sensor has no value at any sample, return a hundredth of their median.
     """
     difference = samples.values - sensor[samples.rows, samples.columns]
     difference = difference[np.isfinite(difference)]
@@ -41,26 +41,26 @@ def sample_noise(samples: Samples, sensor: Floats) -> float:
 
 
 class UnreliableRegions(ConfigModel):
-    """Regions where samples contradict the sensor, found by one minimum cut.
+    """Regions where samples contradict the sensor, computed by one minimum cut.
 
-    All values are inverse depths: nearer is larger. Through glass the sensor measures a farther surface, so that only
-    a sensor that is farther than the samples contradicts them.
+    All values are inverse depths: nearer is larger. Through glass the sensor measures a farther surface, so only a
+    sensor value farther than the samples contradicts them.
 
-    - The *deviation* of a pixel is (sensor - plane) / standard deviation of this difference, negative where the sensor
-      is farther; ``systematic`` is subtracted from its size.
-    - Its *evidence* is confidence * deviation^2 / 2, confidence being the share of samples on the plane.
-    - Its *score* is its evidence - ``score_threshold``, within [-2, 4], and fades with the distance to the next sample;
-      the cut maximizes the sum of scores inside regions less the cost of their outlines. Where the deviation is
-      above 0, the sensor is nearer, which is no contradiction: the score is at most -``score_threshold``.
-    - The *evidence of a sample* is (sample - sensor) / noise, positive where the sensor is farther; ``systematic`` is
-      subtracted from its size. In sums over a region it is limited to [-4, 4].
-    - The *contradiction* of a sample is its evidence / 2.5 within [0, 1], or 0.5 where the sensor has no value; its
+    - The *deviation* of a pixel is (sensor - plane) / standard deviation of this difference, negative if the sensor
+      is farther. ``systematic`` is subtracted from its absolute value.
+    - The *evidence* of a pixel is confidence * deviation^2 / 2. The confidence is the share of samples on the plane.
+    - The *score* of a pixel is its evidence - ``score_threshold``, within [-2, 4], and fades with the distance to the
+      nearest sample. The cut maximizes the sum of scores inside regions minus the cost of their outlines. A sensor
+      value nearer than the plane (deviation above 0) is no contradiction: its score is at most -``score_threshold``.
+    - The *evidence of a sample* is (sample - sensor) / noise, positive if the sensor is farther. ``systematic`` is
+      subtracted from its absolute value. In sums over a region it is limited to [-4, 4].
+    - The *contradiction* of a sample is its evidence / 2.5 within [0, 1], or 0.5 if the sensor has no value. Its
       weighted mean over the samples of a pixel's plane is ``planes.averaged``.
-    - The *gain*, by which positive scores are multiplied, rises from 0 at a mean contradiction of ``contradiction`` to
-      1 at twice it.
+    - The *gain* multiplies positive scores. It rises from 0 at a mean contradiction of ``contradiction`` to 1 at twice
+      this value.
 
-    Outlines of regions cost less along color edges. Regions whose own samples do not contradict the sensor are dropped:
-    there the planes are extrapolations.
+    Outlines of regions cost less along color edges. Regions are dropped if their own samples do not contradict the
+    sensor: there the planes are extrapolations.
     """
 
     renamed: ClassVar[dict[str, str]] = {
@@ -88,17 +88,17 @@ class UnreliableRegions(ConfigModel):
     min_sample_evidence: float = Field(0.5, ge=0, description="mean evidence of its samples, standard deviations")
 
     def __call__(self, sensor: Floats, planes: SamplePlanes, samples: Samples, noise: float, image: Image8) -> Mask:
-        """Select the pixels, (H, W) bool, that the sensor knows and is unreliable at.
+        """Select the unreliable pixels of the sensor, (H, W) bool, among the pixels with a value.
 
-        ``planes`` run through the ``samples``, whose deviation is ``noise``, at all pixels, row by row; ``averaged`` of
-        them is the mean contradiction of the samples.
+        ``planes`` are fitted to ``samples`` at all pixels, row by row; ``planes.averaged`` is the samples' mean
+        contradiction. ``noise`` is the samples' standard deviation.
         """
         if samples.values.size == 0:
             return np.zeros(sensor.shape, np.bool_)
         region = grid_cut(self._scores(sensor, planes, samples, noise), self._outline_costs(image))
         region = self._contradicted(region, sensor, samples, noise) & np.isfinite(sensor)
-        # Drop the pieces that hold one sample or none where their area should hold several: pixels that the sensor does
-        # not know join such a piece to others; its own evidence may be a single wrong sample.
+        # Drop pieces with at most one sample if their area should contain several. Such a piece was joined to others by
+        # pixels without a sensor value, and its own evidence may be a single incorrect sample.
         labels, area = _pieces(region)
         number = np.bincount(labels[samples.rows, samples.columns], minlength=area.size)
         keep = (number > 1) | (area * (samples.values.size / region.size) < _MIN_EXPECTED_SAMPLES)
@@ -111,7 +111,7 @@ class UnreliableRegions(ConfigModel):
         spread = np.sqrt(noise**2 + (self.model_error * planes.sigma) ** 2.0)
         deviation = self.beyond_systematic((sensor.ravel() - planes.values) / spread)
         score = np.clip(planes.confidence * deviation * deviation / 2 - self.score_threshold, *_SCORE_RANGE) * fading
-        # Samples that agree with the sensor are no evidence beside their surface, however far their plane is continued.
+        # A plane whose samples agree with the sensor is no evidence next to their surface, where it is extrapolated.
         gain = np.clip((planes.averaged - self.contradiction) / self.contradiction, 0, 1)
         score = np.where(score > 0, score * gain, score)
         # Through glass the sensor measures a farther surface, never a nearer one.
@@ -119,7 +119,7 @@ class UnreliableRegions(ConfigModel):
         return np.where(np.isfinite(deviation), score, 0.0).reshape(sensor.shape)
 
     def _outline_costs(self, image: Image8) -> tuple[Doubles, ...]:
-        """Return the cost of an outline between two pixels, for each of the steps between neighbors."""
+        """Return the cost of an outline between two pixels, for each step in ``STEPS``."""
         color, costs = image.astype(np.float64), []
         for step in STEPS:
             here, there = edge_ends((image.shape[0], image.shape[1]), step)
@@ -130,7 +130,7 @@ class UnreliableRegions(ConfigModel):
         return tuple(costs)
 
     def _contradicted(self, region: Mask, sensor: Floats, samples: Samples, noise: float) -> Mask:
-        """Return the pieces of a region whose own samples contradict the sensor."""
+        """Select the pieces of a region whose own samples contradict the sensor, (H, W) bool."""
         labels, area = _pieces(region)
         evidence = self.beyond_systematic((samples.values - sensor[samples.rows, samples.columns]) / noise)
         known = np.isfinite(evidence)
@@ -142,11 +142,11 @@ class UnreliableRegions(ConfigModel):
         return np.asarray(keep[labels] & region, np.bool_)
 
     def beyond_systematic(self, deviations: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-        """Bring deviations nearer to 0 by the error that samples may share, in standard deviations."""
+        """Return deviations moved towards 0 by the error that samples may share, in standard deviations."""
         return np.asarray(np.sign(deviations) * np.maximum(np.abs(deviations) - self.systematic, 0))
 
 
 def _pieces(region: Mask) -> tuple[Ints, Ints]:
-    # 8-connected pieces of a region: (H, W) labels, 0 outside, and the area of each.
+    # Return the 8-connected pieces of a region: (H, W) labels, 0 outside, and the area of each.
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
     return np.asarray(labels, np.int32), np.asarray(statistics[:, cv2.CC_STAT_AREA], np.int32)

@@ -1,4 +1,4 @@
-"""Refinements of a sensor's depth map: the data flow from frame to refined depth. One file per pipeline."""
+"""Pipelines that refine a sensor's depth map: the data flow from frame to refined depth. One file per pipeline."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from depthcli.methods.kinect.disparity import measured_disparity, noise_level, r
 
 
 class KinectPipeline(Method):
-    """A complete refinement of one frame; a config names it under the key ``pipeline``."""
+    """Base of pipelines that refine one frame; a config selects a pipeline by the key ``pipeline``."""
 
     bytes_per_pixel: ClassVar[int] = 60
     """Estimate of the peak working memory."""
 
     @abstractmethod
     def __call__(self, frame: RgbdFrame) -> DepthResult:
-        """Refine the depth map of ``frame``; ValueError where no pixel has a depth.
+        """Refine the depth map of ``frame``; ValueError if no pixel has a depth.
 
-        A pixel that no model and no neighbor reaches stays NaN with status ``EMPTY``.
+        A pixel that no model and no neighbor reaches stays NaN, with status ``EMPTY``.
         """
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Estimate of the peak working memory for a frame of ``shape``, in bytes."""
+        """Estimate the peak working memory for a frame of ``shape``, in bytes."""
         return self.bytes_per_pixel * shape[0] * shape[1]
 
 
 class FilterPipeline(KinectPipeline):
-    """A refinement that filters the disparity."""
+    """Base of pipelines that filter the disparity."""
 
     @abstractmethod
     def filtered(self, frame: RgbdFrame, measured: Floats, noise: float) -> Floats:
-        """Compute the refined disparity from the ``measured`` one, whose standard deviation is ``noise``, pixels."""
+        """Compute the refined disparity from the ``measured`` one with standard deviation ``noise``, both in pixels."""
 
     def __call__(self, frame: RgbdFrame) -> DepthResult:
         clock = Clock()
@@ -49,11 +49,11 @@ class FilterPipeline(KinectPipeline):
 
 
 class SequencePipeline(KinectPipeline):
-    """A refinement that carries a state from frame to frame."""
+    """Base of pipelines that carry a state from frame to frame."""
 
     @abstractmethod
     def step(self, frame: RgbdFrame, state: Any) -> tuple[DepthResult, Any]:
-        """Refine the next frame, of the same size; ``state`` is that of the last step, None before the first."""
+        """Refine the next frame, of the same size; ``state`` comes from the previous step, None before the first."""
 
     def __call__(self, frame: RgbdFrame) -> DepthResult:
         """Refine a frame that belongs to no sequence."""
@@ -61,7 +61,7 @@ class SequencePipeline(KinectPipeline):
 
 
 def frame_by_frame(pipeline: KinectPipeline) -> Callable[[RgbdFrame], DepthResult]:
-    """Return what refines the next frame of a sequence, with the state that a :class:`SequencePipeline` carries."""
+    """Return a function that refines the next frame of a sequence and carries a :class:`SequencePipeline`'s state."""
     if not isinstance(pipeline, SequencePipeline):
         return pipeline
     state = None

@@ -1,4 +1,4 @@
-"""Surfaces fitted robustly to layers of depth-guided segments (thesis, chapter 4)."""
+"""Robust surfaces fitted to layers of depth-guided segments (thesis, chapter 4)."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from depthcli.methods.kinect.layers import Layer, Polynomial, RefinedDisparity, 
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.shadows import SHADOW_SIDES, Side
 
-_MIN_CORE_PIXELS = 5  # of a segment, for a surface to be fitted to them; value of the shipped presets, not varied
+_MIN_CORE_PIXELS = 5  # core pixels that a segment needs for a fit to them; value of the shipped presets, not varied
 
 
 class Dsrm(KinectPipeline):
     """Fit a polynomial in inverse depth to every segment of every layer, and use it where the sensor is unreliable.
 
-    The band beside depth jumps is left out of the fit; afterwards its values are kept where they agree with
-    the model. Segments of which too little is known join a neighbor of similar color that fits the shadow they lie in.
+    The fit leaves out unreliable pixels next to depth edges. Their values are kept if they agree with the model.
+    Segments with too few known pixels join a neighbor of similar color that their shadow allows.
     """
 
     segmentation: Segmentation = Field(
@@ -66,7 +66,7 @@ class Dsrm(KinectPipeline):
         clock.start("result")
         result = refined.to_depth(frame)
         if self.details:
-            for k, layer in enumerate(labels):  # every label in an arbitrary color of its own
+            for k, layer in enumerate(labels):  # an arbitrary color for every label
                 mixed = (layer.astype(np.uint32) + 1) * np.uint32(2654435761)
                 channels = [(mixed >> np.uint32(shift)).astype(np.uint8) | 32 for shift in (8, 16, 24)]
                 result.pictures[f"segments_{k}"] = np.stack(channels, axis=2)
@@ -89,13 +89,13 @@ class Dsrm(KinectPipeline):
         return self.combined(layers, measurement), labels, layers
 
     def combined(self, layers: list[Layer], measurement: Measurement) -> RefinedDisparity:
-        """Return the disparity that follows from all layers."""
+        """Return the disparity computed from all layers."""
         return RefinedDisparity.of(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
 
     def _fit(self, measurement: Measurement, labels: Ints) -> Layer:
-        """Fit the model to the segments ``labels`` (H, W), and let segments where it cannot be fitted join others.
+        """Fit the model to the segments ``labels`` (H, W); segments that it cannot be fitted to join others.
 
-        Segments with too few reliable pixels, whose measured pixels mostly are ``core`` pixels, are fitted to those.
+        If a segment has too few reliable pixels and mostly ``core`` pixels, the model is fitted to its core pixels.
         """
         n = int(labels.max()) + 1
         size, reliable, measured, core = (
@@ -113,9 +113,9 @@ class Dsrm(KinectPipeline):
         return Layer(owners[labels], surfaces, modelled[labels])
 
     def _in_turn(self, frame: RgbdFrame, measurement: Measurement, layers: list[Ints]) -> RefinedDisparity:
-        """Fill and correct layer after layer, each fitted to the result of the finer ones (thesis, chapter 4).
+        """Fill and correct layer after layer, each fitted to the result of the finer layers (thesis, chapter 4).
 
-        Pixels that no surface reaches are filled by a joint bilateral filter.
+        A joint bilateral filter fills the pixels that no surface reaches.
         """
         band, shape = self.correction_band, frame.shape
         edge = near_side(measurement.disparity, measurement.jump, band, band)
@@ -126,7 +126,7 @@ class Dsrm(KinectPipeline):
             finer = replace(measurement, reliable=values, core=np.zeros(shape, bool))
             surface, spread = self._fit(finer, labels).estimate(values, self.detail_reach)
             off = np.abs(values - surface) > self.tolerance * spread
-            inner = np.ones(shape, np.uint8)  # 0 beside another segment
+            inner = np.ones(shape, np.uint8)  # 0 next to another segment
             across, down = labels[:, 1:] != labels[:, :-1], labels[1:] != labels[:-1]
             inner[:, 1:][across] = inner[:, :-1][across] = 0
             inner[1:][down] = inner[:-1][down] = 0
@@ -145,5 +145,5 @@ class Dsrm(KinectPipeline):
         return RefinedDisparity(values, scale, status)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Estimate the larger of the sums and pairs of the segmentation, and three maps per layer."""
+        """Estimate the peak working memory for a frame of ``shape``, in bytes: the segmentation or the layers' maps."""
         return 160 * shape[0] * shape[1] + (64 << 20)

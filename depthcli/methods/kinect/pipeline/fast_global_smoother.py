@@ -17,8 +17,8 @@ from depthcli.methods.kinect.pipeline import FilterPipeline
 class FastGlobalSmoother(FilterPipeline):
     """``FGS(c d) / FGS(c)`` with ``cv2.ximgproc.fastGlobalSmootherFilter``, guided by the color image.
 
-    The confidence c is 0 in gaps, low in the band on both sides of depth edges and around gaps, 1 elsewhere (Min et
-    al., TIP 2014, applied as in OpenCV's WLS disparity filter).
+    The confidence c is 0 in gaps, low in a band along depth edges and gaps, and 1 elsewhere (Min et al., TIP 2014,
+    applied as in OpenCV's WLS disparity filter).
     """
 
     bytes_per_pixel: ClassVar[int] = 80
@@ -33,7 +33,7 @@ class FastGlobalSmoother(FilterPipeline):
         known = ~np.isnan(measured)
         confidence = known.astype(np.float32)
         if self.edge_band:
-            edge = np.zeros(frame.shape, np.uint8)  # beside steps, and between known and unknown pixels
+            edge = np.zeros(frame.shape, np.uint8)  # next to steps, and between known and unknown pixels
             for lines, edges in ((measured, edge), (measured.T, edge.T)):
                 step = (np.abs(np.diff(lines)) > self.jump * noise) | np.diff(np.isnan(lines))
                 edges[:, 1:] |= step
@@ -46,9 +46,9 @@ class FastGlobalSmoother(FilterPipeline):
 def weighted_smoothing(
     color: Image8, disparity: Floats, confidence: Floats, smoothness: float, sigma_color: float
 ) -> Floats:
-    """Compute ``FGS(c d) / FGS(c)``, (H, W) float32, by OpenCV's filter; NaN where no confidence reaches.
+    """Compute ``FGS(c d) / FGS(c)``, (H, W) float32, with OpenCV's filter; NaN where the denominator is about 0.
 
-    The confidence is at least 0, and 0 where the disparity is unknown.
+    The confidence c is >= 0, and 0 at unknown disparities.
     """
     weighted = np.where(confidence > 0, disparity, np.float32(0)) * confidence
     with single_thread():

@@ -15,7 +15,7 @@ from depthcli.methods.kinect.pipeline import FilterPipeline
 
 
 class Guided(FilterPipeline):
-    """Gaps take the nearest value, then all is smoothed along the color edges (He, Sun and Tang, PAMI 2013)."""
+    """Fill gaps with the nearest value, then smooth with edges kept where the colors differ (He et al., PAMI 2013)."""
 
     bytes_per_pixel: ClassVar[int] = 250
 

@@ -16,9 +16,9 @@ _ALGORITHMS = {"telea": cv2.INPAINT_TELEA, "navier-stokes": cv2.INPAINT_NS}
 
 
 class Inpaint(FilterPipeline):
-    """``cv2.inpaint`` on the disparity: gaps are filled from their rims, without the color image.
+    """``cv2.inpaint`` on the disparity: fills gaps from their rims, without the color image.
 
-    The 32-bit version overshoots: values are kept within those measured.
+    OpenCV's 32-bit version overshoots, so filled values are limited to the measured range.
     """
 
     algorithm: Literal["telea", "navier-stokes"] = Field("telea", description="fast marching, or fluid dynamics")

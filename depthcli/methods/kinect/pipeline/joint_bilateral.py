@@ -1,4 +1,4 @@
-"""Joint bilateral inpainting, which the thesis compares with."""
+"""Joint bilateral inpainting, a baseline of the thesis."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from depthcli.methods.kinect.pipeline import FilterPipeline
 
 
 class JointBilateralFill(FilterPipeline):
-    """Fill every gap with the mean of the known values around, weighted by distance and similarity of color.
+    """Fill gaps with the mean of the known values around, weighted by distance and color similarity.
 
-    Repeated from the gap's rim inwards, until nothing is left that a window can reach.
+    Filling proceeds from a gap's rim inwards, until no window reaches another pixel.
     """
 
     window: Odd = Field(21, ge=3, le=101, description="side of the window, pixels, odd")

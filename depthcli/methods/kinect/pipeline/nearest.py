@@ -9,7 +9,7 @@ from depthcli.methods.kinect.pipeline import FilterPipeline
 
 
 class NearestFill(FilterPipeline):
-    """Every gap pixel takes the disparity of the nearest known one; measured values stay."""
+    """Fill every gap pixel with the disparity of the nearest known pixel; keep measured values."""
 
     def filtered(self, frame: RgbdFrame, measured: Floats, noise: float) -> Floats:
         return nearest_fill(measured)

@@ -24,14 +24,14 @@ from depthcli.methods.kinect.shadows import SHADOW_SIDES, Shadows, Side
 
 
 class PlaneVotes(KinectPipeline):
-    """Replace unreliable measurements and fill gaps by the votes of the planes around.
+    """Replace unreliable measurements and fill gaps by votes of the planes around.
 
-    1. Unreliable pixels: gaps, and measurements that are probably wrong by their place beside depth edges. How far
-       true outlines lie inside measured ones is estimated from the frame (``kinect.depth_edges``).
-    2. Robust planes around every reliable pixel, which are the result there.
-    3. Votes of these planes, weighted by color and distance, in a histogram for each unreliable pixel: its modes are
-       candidates. The limits that shadows set count as far as the frame's gaps are shadows.
-    4. TRW-S chooses, and all is repeated with the refined map.
+    1. Select unreliable pixels: gaps, and measurements next to depth edges that are probably incorrect. The distance of
+       true outlines from measured ones is estimated from the frame (``kinect.depth_edges``).
+    2. Fit a robust plane around every reliable pixel. It is the result there.
+    3. Collect the planes' votes, weighted by color and distance, in a histogram for each unreliable pixel. Its modes
+       are the candidates. Shadows limit them according to the confidence that the frame's gaps are shadows.
+    4. TRW-S chooses a candidate for each pixel. Repeat with the refined map.
     """
 
     renamed: ClassVar[dict[str, str]] = {
@@ -90,7 +90,7 @@ class PlaneVotes(KinectPipeline):
             p_correct = np.where(opened, np.minimum(p_correct, np.float32(self.opening_probability)), p_correct)
             unreliable |= opened
         evidence, refined = Observed(lab, measured, p_correct, unreliable), measured
-        for grid in [2] * (self.passes - 1) + [1]:  # all but the last on every second pixel of every second row
+        for grid in [2] * (self.passes - 1) + [1]:  # all passes but the last use every second row and column
             clock.start("votes")
             background, share = shadow_background(measured, planes, measurement.jump, shadows)
             share = np.where(known, share * (1 - p_correct), share).astype(np.float32)
@@ -98,7 +98,7 @@ class PlaneVotes(KinectPipeline):
                 np.concatenate([background[None], continued.values]), np.concatenate([share[None], continued.shares])
             )
             chosen = self._one_pass(evidence, planes, trust, limits, extra, noise, sigma_space, grid, clock)
-            # Where the choice agrees with the measurement, the measurement is more exact.
+            # If choice and measurement agree, the measurement is more exact.
             agreed = known & ~(np.abs(chosen - measured) >= np.float32(AGREEMENT * noise))
             old, old_trust = refined, trust
             refined = np.where(agreed & (~unreliable | ~np.isnan(chosen)), measured, chosen)
@@ -122,7 +122,7 @@ class PlaneVotes(KinectPipeline):
         grid: int,
         clock: Clock,
     ) -> Floats:
-        """Return the disparity chosen for the unreliable pixels of every ``grid``-th row and column, else NaN."""
+        """Return the disparity chosen for unreliable pixels of every ``grid``-th row and column, NaN elsewhere."""
         voters = [Voters.of(evidence.lab, planes, trust, stride) for stride, _ in LEVELS]
         pixels = np.argwhere(evidence.unreliable[::grid, ::grid]).astype(np.int32)
         sigmas = self.sigma_color, sigma_space
@@ -145,5 +145,5 @@ class PlaneVotes(KinectPipeline):
         return np.asarray(local ** (1 - shadowed) * self.sigma_shadow**shadowed, np.float32)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Estimate as for a frame of unreliable pixels only: candidates, messages and weights; or segments before."""
+        """Estimate the peak working memory in bytes, for a frame of ``shape`` in which every pixel is unreliable."""
         return max((60 * self.candidates + 220) * shape[0] * shape[1], Dsrm().peak_bytes(shape))

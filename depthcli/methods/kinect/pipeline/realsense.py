@@ -16,7 +16,7 @@ from depthcli.methods.kinect.disparity import measured_disparity, noise_level, r
 from depthcli.methods.kinect.pipeline import SequencePipeline
 
 _FRACTION = 32  # unit of the deltas: 1/32 pixel of disparity, as in librealsense
-# Values from 1 to 7: a pixel is carried over if valid in so many of so many last frames (librealsense).
+# Persistency -> (m, n): a pixel is carried over if it was valid in m of the last n frames (librealsense).
 _PERSISTENCE = {1: (8, 8), 2: (2, 3), 3: (2, 4), 4: (2, 8), 5: (1, 2), 6: (1, 5), 7: (1, 8)}
 _HOLES = {"left": 0, "farthest": 1, "nearest": 2}
 
@@ -31,9 +31,8 @@ class RealsenseState(NamedTuple):
 class Realsense(SequencePipeline):
     """Spatial, temporal and hole-filling filter of librealsense, in this order, on disparity; without the color image.
 
-    The spatial filter is the recursive edge-preserving one: along rows and columns, there and back, a value is
-    averaged with the filter's state where the two differ by less than ``spatial_delta``. Options of 0 turn a
-    filter off.
+    The spatial filter is recursive and preserves edges: along rows and columns, in both directions, a value is averaged
+    with the filter's state if its step from the previous value is smaller than ``spatial_delta``.
     """
 
     magnitude: int = Field(2, ge=0, le=5, description="passes of the spatial filter; 0: off")
@@ -53,7 +52,7 @@ class Realsense(SequencePipeline):
     )
 
     def step(self, frame: RgbdFrame, state: RealsenseState | None) -> tuple[DepthResult, RealsenseState]:
-        """Filter the next frame; ValueError where it has no depth, or another size than the previous ones."""
+        """Filter the next frame; ValueError if it has no depth, or another size than the previous frames."""
         clock = Clock()
         clock.start("spatial")
         measured = measured_disparity(frame)
@@ -88,7 +87,7 @@ class Realsense(SequencePipeline):
 
 @jit
 def _smooth_lines(begin, end, values, alpha, delta):
-    # Every row there and back; edges are steps of the unfiltered values, as in librealsense.
+    # Filter every row in both directions. As in librealsense, edges are steps between the values before each pass.
     for y in range(begin, end):
         line = values[y]
         for back in range(2):
@@ -131,7 +130,7 @@ def _temporal(begin, end, values, last, history, alpha, delta, min_valid, n_fram
 
 @jit
 def _fill(values, mode):
-    # In raster order: filled values count for later pixels. Farthest is the smallest disparity.
+    # In raster order: filled values count as known for later pixels. The farthest value is the smallest disparity.
     height, width = values.shape
     for y in range(height):
         for x in range(width):

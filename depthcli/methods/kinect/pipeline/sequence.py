@@ -1,4 +1,4 @@
-"""Frames of a recording: segments are carried from frame to frame (thesis, chapter 4), with the camera's motion."""
+"""Refine the frames of a recording: carry segments from frame to frame with the camera's motion (thesis, chapter 4)."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 
 _FILLED, _FALLBACK, _CARRIED = int(DepthStatus.GAP_FILLED), int(DepthStatus.FALLBACK), int(DepthStatus.CARRIED)
 
-_MIN_CHANGED = 0.02  # share of changed pixels below which no motion is estimated; noise alone changes fewer
-_MIN_MOTION = 0.5  # pixels; a camera that moves less is taken as still, since pixels keep their places
-_MIN_GAIN = 0.02  # share of pixels that agree after an estimated motion only, for it to be believed
+_MIN_CHANGED = 0.02  # with a smaller share of changed pixels no motion is estimated; noise alone changes fewer
+_MIN_MOTION = 0.5  # pixels; a camera that moves less counts as still, since pixels keep their places
+_MIN_GAIN = 0.02  # additional share of agreeing pixels that an estimated motion must bring
 
 
 @dataclass(frozen=True)
@@ -35,21 +35,21 @@ class SequenceState:
     """State of a sequence after a frame."""
 
     layers: list[Layer]
-    color: Image8  # (H, W, 3), of the frame
+    color: Image8  # (H, W, 3), the frame's color image
     disparity: Floats  # (H, W), refined, pixels, NaN = none
-    noise: float  # of the last segmented frame, pixels
-    age: int  # frames since then
-    pose: Doubles | None = None  # (4, 4), from the camera's coordinates to the world's, meters
+    noise: float  # standard deviation in the last segmented frame, pixels
+    age: int  # frames since the last segmented frame
+    pose: Doubles | None = None  # (4, 4), from camera to world coordinates, meters
 
 
 class Sequence(SequencePipeline, Dsrm):
-    """The first frame as in ``dsrm``; then every still pixel keeps its segment, and surfaces are refitted.
+    """Refine the first frame like ``dsrm``; then let still pixels keep their segments, and refit the surfaces.
 
     Changed pixels join the segment that is nearest in color and depth. After too much change, or too many frames,
-    segments are computed again. Where the camera has moved, by the poses of both frames or by tracked corners, the
-    segments are first projected into its new view, if more pixels then agree with the frame; pixels that nothing
-    reaches are changed. ``words["motion"]`` of the result says which: ``still``, ``pose``, ``estimated``, or ``new``
-    where segments are computed again.
+    segments are computed again. If the camera has moved, by the poses of both frames or by tracked corners, the
+    segments are first projected into its new view, provided that more pixels then agree with the frame. Pixels that the
+    projection does not reach count as changed. ``words["motion"]`` of the result is ``still``, ``pose``, ``estimated``,
+    or ``new`` if segments were computed again.
     """
 
     renamed: ClassVar[dict[str, str]] = {"most_changed": "max_changed", "longest": "max_age"}
@@ -60,7 +60,7 @@ class Sequence(SequencePipeline, Dsrm):
     drift: float = Field(1.0, ge=0, description="deviation of filled values per frame, multiples of the noise")
 
     def step(self, frame: RgbdFrame, state: SequenceState | None) -> tuple[DepthResult, SequenceState]:
-        """Refine the next frame; ValueError where it has no depth, or another size than the previous ones."""
+        """Refine the next frame; ValueError if it has no depth, or another size than the previous frames."""
         if state is None:
             return self._start(frame)
         if state.color.shape != frame.color.shape:
@@ -78,7 +78,7 @@ class Sequence(SequencePipeline, Dsrm):
         previous, layers = state.disparity, state.layers
         if view is not None:
             still &= view.certain
-            # A surface that was seen before needs no shadow to be believed.
+            # Shadows do not limit a surface that was seen before.
             measurement = replace(measurement, limit=np.where(still, np.float32(np.inf), measurement.limit))
             previous, layers = view.disparity, []
             for layer in state.layers:
@@ -112,7 +112,7 @@ class Sequence(SequencePipeline, Dsrm):
     ) -> tuple[str, MovedView | None, Mask]:
         """Return ``still``, ``pose`` or ``estimated``, the previous frame's view, and the pixels that agree with it.
 
-        The view is None where the camera has not moved, or where fewer pixels would agree if it had.
+        The view is None if the camera has not moved, or if the motion does not make more pixels agree.
         """
         limits = self.color_change, self.tolerance * measurement.noise
         still = still_pixels(frame.color, measurement.reliable, state.color, state.disparity, *limits)
@@ -133,7 +133,7 @@ class Sequence(SequencePipeline, Dsrm):
 
 @jit
 def _blend(begin, end, disparity, scale, status, previous, still, drift):
-    # Filled values of still pixels: weighted mean with the previous ones, whose variance grows by the drift.
+    # Average filled values of still pixels with the previous values, whose variance grows by the drift.
     width = disparity.shape[1]
     for y in range(begin, end):
         for x in range(width):
@@ -149,7 +149,8 @@ def still_pixels(
 ) -> Mask:
     """Select the pixels, (H, W) bool, whose color channels and disparity change by at most the given amounts.
 
-    Color and disparity of the frame ``before`` count; without a reliable disparity in both frames the color alone.
+    ``before`` and ``disparity`` belong to the previous frame. Without a reliable disparity in both frames, only color
+    counts.
     """
     changes = cv2.absdiff(color, before)
     same_color = cv2.inRange(changes, np.zeros(3), np.full(3, float(color_change))) > 0
@@ -157,13 +158,14 @@ def still_pixels(
 
 
 def carried_labels(layer: Layer, still: Mask, color: Image8, measurement: Measurement) -> tuple[Ints, Mask]:
-    """Return labels and ``own`` of a layer in the next frame, both (H, W); ``measurement`` is of that frame.
+    """Return labels and ``own`` of a layer in the next frame, both (H, W); ``measurement`` belongs to that frame.
 
-    A still pixel keeps its segment, unless its reliable disparity is off the surface by more than a jump and three
-    scales, or the surface is nearer by a jump than its shadow allows. Others take the segment at the end of the
-    cheapest path through 8-neighbors. A step costs the absolute differences of color, the distance of the surface
-    from the reliable disparity, in fifths of the noise, and ``SHADOW_PENALTY`` where the surface is nearer than the
-    shadow allows. Two raster sweeps, so that bent paths may be missed. Label -1 where no pixel keeps a segment.
+    A still pixel keeps its segment, unless its reliable disparity is off the surface by more than a jump plus three
+    scales, or the surface is nearer than its shadow allows by more than a jump. Other pixels take the segment at the
+    end of the cheapest path through 8-neighbors. A step costs the absolute color differences, plus the distance of the
+    surface from the reliable disparity in fifths of the noise, plus ``SHADOW_PENALTY`` if the surface is nearer than
+    the shadow allows. Two raster sweeps search the paths and may miss bent ones. The label is -1 if no path reaches a
+    pixel.
     """
     surfaces = layer.surfaces
     shapes = (surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit)
@@ -180,7 +182,7 @@ def carried_labels(layer: Layer, still: Mask, color: Image8, measurement: Measur
 
 @jit
 def _held(begin, end, labels, still, reliable, limit, coefficients, center, bounds, unit, scale, jump, cost):
-    # 0 where a pixel keeps its segment, else infinite.
+    # Set the cost to 0 at pixels that keep their segment, and to infinity elsewhere.
     width = labels.shape[1]
     for y in range(begin, end):
         for x in range(width):
@@ -190,7 +192,7 @@ def _held(begin, end, labels, still, reliable, limit, coefficients, center, boun
                 continue
             value = surface_at(coefficients, center, bounds, unit, s, y, x)
             off = abs(reliable[y, x] - value)
-            if not off > jump + 3 * scale[s] and not value > limit[y, x] + jump:  # False where it is unknown
+            if not off > jump + 3 * scale[s] and not value > limit[y, x] + jump:  # False if unknown
                 cost[y, x] = 0
 
 

@@ -1,4 +1,4 @@
-"""Smoothing at video rate, with low confidence where the sensor fattens near surfaces, and shadows filled first."""
+"""Smoothing at video rate: fills shadows first and gives low confidence to the fattened rims of near surfaces."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from depthcli.methods.kinect.shadows import SHADOW_SIDES, Side, shadows_of
 
 
 class ShadowSmoother(KinectPipeline):
-    """``FGS(c d) / FGS(c)`` with low confidence on the near side of depth edges, and gaps filled before.
+    """``FGS(c d) / FGS(c)`` with low confidence on the near side of depth edges, after gaps are filled.
 
-    Wrong measurements lie on the near side of depth edges. A shadow falls on the far surface beside it; other gaps
-    begin with the value at the start of the cheapest path into them (``kinect.gap_filling``).
+    Incorrect measurements are on the near side of depth edges. A shadow takes the value of the far surface next to it.
+    Other gaps take the value at the start of the cheapest path into them (``kinect.gap_filling``).
     """
 
     bytes_per_pixel: ClassVar[int] = 100
@@ -53,7 +53,7 @@ class ShadowSmoother(KinectPipeline):
         # If most gaps are holes, a wide gap is no evidence that surfaces have grown over it.
         tolerance = 2.5 if shadows.p_hole < 0.5 else np.inf
         band = np.zeros(measured.shape, bool)
-        if frame.has_color:  # without colors nothing shows true outlines
+        if frame.has_color:  # without colors, true outlines are unknown
             band = near_side(measured, jump, self.row_band, self.column_band, tolerance)
         confidence[known & band] = self.edge_confidence
         level = np.zeros_like(measured)
@@ -71,7 +71,7 @@ class ShadowSmoother(KinectPipeline):
             levels = np.rint((start - low) * np.float32(255 / max(high - low, 1e-6))).astype(np.uint8)
             guide = np.repeat(levels[..., None], 3, axis=2)
         values = weighted_smoothing(guide, start, confidence, self.smoothness, self.sigma_color)
-        # Without a color edge the smoother crosses depth edges: reliable measurements stay.
+        # The smoother crosses depth edges that have no color edge. Keep reliable measurements there.
         crossed = known & ~band & (np.abs(values - measured) > self.max_change * noise)
         values[crossed] = measured[crossed]
         result = refined_depth(frame, values, noise, clock)

@@ -1,4 +1,4 @@
-"""Features that are compared voxel by voxel. One file per feature."""
+"""Features for the comparison of voxels. One file per feature."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.registration._search_kernels import MAX_SMALL_VALUE
 
 VolumeArray = NDArray[np.float32]
-"""(Z, Y, X), finite, of cubic voxels."""
+"""(Z, Y, X), finite, with cubic voxels."""
 Channels = NDArray[np.uint8]
 """(C, Z, Y, X)."""
 Place = tuple[int, ...]
 """(z, y, x), relative to a voxel."""
-_MIN_RANGE = 1e-35  # smaller ranges count as none: float32 cannot hold 255 levels over them
+_MIN_RANGE = 1e-35  # smaller ranges count as none: float32 cannot represent 255 levels over them
 _STEPS = ((0, 0, 1), (0, 0, -1), (0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0, 0))
 
 
 class VolumeFeature(Method):
-    """Turns two volumes into channels of whole numbers, so that sums of differences are exact."""
+    """Converts two volumes to channels of integers, so that sums of differences are exact."""
 
     channels: ClassVar[int]
-    """Largest number of channels, for estimates of memory."""
+    """Largest number of channels, for memory estimates."""
 
     @abstractmethod
     def __call__(self, fixed: VolumeArray, warped: VolumeArray) -> tuple[Channels, Channels]:
-        """Compute the channels of both volumes, on one scale; the inputs are not modified."""
+        """Compute the channels of both volumes on a common scale; the inputs are not modified."""
 
 
 Feature = Annotated[VolumeFeature, *method_of("depthcli.methods.registration.feature")]
@@ -42,7 +42,7 @@ Feature = Annotated[VolumeFeature, *method_of("depthcli.methods.registration.fea
 def levels(
     fixed: NDArray[np.float32], warped: NDArray[np.float32], outliers: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Map both arrays from their common percentiles, ``outliers`` percent cut off at either end, to 0 .. 255."""
+    """Map both arrays to 0 .. 255, from their common range without ``outliers`` percent at either end."""
     both = np.concatenate([fixed.ravel(), warped.ravel()])
     low, high = (float(v) for v in np.percentile(both, [outliers, 100 - outliers]))
     if high - low < _MIN_RANGE:
@@ -56,14 +56,14 @@ def levels(
 
 
 def steps(shape: tuple[int, ...], distance: int) -> list[Place]:
-    """Return the neighbors at ``distance`` along the axes; none along an axis of one voxel."""
+    """Return the offsets of the neighbors at ``distance`` along the axes; none along an axis of one voxel."""
     return [tuple(distance * s for s in step) for step in _STEPS if shape[next(a for a in range(3) if step[a])] > 1]
 
 
 def descriptor(volume: NDArray[np.float32], pairs: Sequence[tuple[Place, Place]], sigma: float) -> NDArray[np.uint8]:
-    """Compute exp(-(D_r - min D) / V) of the patch distance D_r of every pair of places; (C, Z, Y, X) uint8.
+    """Compute exp(-(D_r - min D) / V) from the patch distance D_r of every pair of places; (C, Z, Y, X) uint8.
 
-    Without any pair, in a volume of one voxel, one channel without content.
+    If there is no pair (a volume of one voxel), return one constant channel.
     """
     distances = np.zeros((max(1, len(pairs)), *volume.shape), np.float32)
     for r, (one, other) in enumerate(pairs):

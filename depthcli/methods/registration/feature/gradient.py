@@ -12,7 +12,7 @@ from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeF
 
 
 class GradientFeature(VolumeFeature):
-    """Central differences of the smoothed volumes: blind to slow changes of brightness."""
+    """Central differences of the smoothed volumes: insensitive to slow changes of brightness."""
 
     channels: ClassVar[int] = 3
 

@@ -1,4 +1,4 @@
-"""Plain intensities: for one modality and one scanner."""
+"""Plain intensities, for volumes of one modality from one scanner."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeF
 
 
 class Intensity(VolumeFeature):
-    """The values themselves, on 256 levels between common percentiles."""
+    """The intensities, quantized to 256 levels between common percentiles."""
 
     channels: ClassVar[int] = 1
 

@@ -1,4 +1,4 @@
-"""Intensities without local mean and contrast, as normalized cross-correlation sees them."""
+"""Intensities without local mean and contrast, as in normalized cross-correlation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeF
 
 
 class LocalNcc(VolumeFeature):
-    """(I - mean) / deviation in a Gaussian window: their absolute difference falls as local correlation rises."""
+    """(I - mean) / deviation in a Gaussian window: absolute differences fall as the local correlation rises."""
 
     channels: ClassVar[int] = 1
 

@@ -10,7 +10,7 @@ from depthcli.methods.registration.feature import Channels, Place, VolumeArray, 
 
 
 class Mind(VolumeFeature):
-    """Distances of a voxel's patch to those of its six neighbors: the same under other contrasts and modalities."""
+    """Distances of a voxel's patch to its six neighbors' patches: similar for other contrasts and modalities."""
 
     channels: ClassVar[int] = 6
 

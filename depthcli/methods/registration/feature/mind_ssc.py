@@ -15,5 +15,5 @@ class MindSsc(Mind):
 
     def _pairs(self, around: list[Place]) -> list[tuple[Place, Place]]:
         both = [(a, b) for k, a in enumerate(around) for b in around[:k]]
-        # Opposite neighbors are left out: their patches are the least alike, and tell least. A line has no others.
+        # Leave out opposite neighbors, whose patches are least similar. A volume with a single axis has no other pairs.
         return [(a, b) for a, b in both if any(p + q for p, q in zip(a, b, strict=True))] or both

@@ -1,4 +1,4 @@
-"""Estimates of a registration's errors: the data flow from a registered pair to a map in mm. One file per pipeline."""
+"""Estimates of a registration's errors in mm: the data flow from a registered pair. One file per pipeline."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from depthcli.core.method import Method, method_of
 from depthcli.core.result import Result
 from depthcli.core.volumes import RegisteredPair
 
-_CERTAINTY_MM = 3.0  # expected error of which the certainty is 1/e
+_CERTAINTY_MM = 3.0  # expected error at which the certainty is 1/e
 
 
 @dataclass(kw_only=True)
 class RegistrationResult(Result):
     """Confidence and expected error of a registration.
 
-    Maps lie on the grid of what was measured: (i, j, k) is at ``start + step * (i, j, k)`` voxels of the fixed volume.
+    Element (i, j, k) of a map is at ``start + step * (i, j, k)`` voxels of the fixed volume.
 
     Attributes
     ----------
     expected_error : (z, y, x) float32, mm
-    shift : (3, z, y, x) float32, where the match of a voxel lies, (z, y, x) mm along the volume's axes; None: the
-        method looks for no match
-    scores : (z, y, x) float32 of each resolution, the finest first, by which a table of errors in voxels of that
-        resolution gives the bound, the larger the surer; empty: the method gives no bound
+    shift : (3, z, y, x) float32, displacement from a voxel to its match, (z, y, x) mm along the volume's axes; None:
+        the method searches for no match
+    scores : (z, y, x) float32 for each resolution, the finest first; larger is more reliable. An error table in voxels
+        of the resolution converts them to error bounds; empty: the method gives no bound
     measures : name -> (z, y, x) float32, of the first feature at full resolution
-    step, start : of the working grid, in voxels of the fixed volume, (z, y, x)
+    step, start : step and start of the maps' grid, in voxels of the fixed volume, (z, y, x)
     certainty : (z, y, x) float32 in [0, 1]: exp(-expected error / 3 mm)
     """
 
@@ -55,39 +55,39 @@ def at_voxels(
     shape: Sequence[int],
     first: Sequence[int] = (0, 0, 0),
 ) -> NDArray[np.float32]:
-    """Return a map, whose (i, j, k) is at ``start + step (i, j, k)`` voxels, at ``shape`` voxels from ``first`` on."""
+    """Return a map resampled at ``shape`` voxels from ``first`` on; its (i, j, k) is at ``start + step (i, j, k)``."""
     back = [1 / each for each in step]
     places = [-a / each + voxel * b for a, each, voxel, b in zip(start, step, first, back, strict=True)]
     return resample(values, shape, back, places)
 
 
 class RegistrationPipeline(Method):
-    """A complete estimate of the errors of one registration; a config names it under the key ``pipeline``."""
+    """Base of pipelines that estimate the errors of a registration; a config selects one by the key ``pipeline``."""
 
     @property
     def voxel_limit(self) -> int | None:
-        """Most voxels that volumes are read as, larger ones as means of blocks; None: they are read as they are."""
+        """Largest number of voxels; larger volumes are read as means of blocks. None: no limit."""
         return None
 
     @property
     def error_table(self) -> str:
-        """Name of the table of the package that gives bounds by the scores of a result; empty: results have none."""
+        """Name of the package's table that converts scores to error bounds; empty: results have no scores."""
         return ""
 
     @abstractmethod
     def __call__(self, pair: RegisteredPair) -> RegistrationResult:
-        """Estimate the error at every place of a grid over the fixed volume.
+        """Estimate the error at every point of a grid over the fixed volume.
 
         Returns
         -------
-        Finite errors, none of them negative. ``figures``: ``mean_error``, mm; where matches are searched for
-        ``border``, the share of them that lie on the border of the search; with scores ``iso``, the side of a voxel of
-        the finest resolution, and ``reach``, the largest displacement along an axis of the coarsest search, mm.
+        Finite errors >= 0. ``figures`` has ``mean_error``, mm. If the method searches for matches, it has ``border``,
+        the share of matches on the border of the search. With scores, it has ``iso``, the side of a voxel of the finest
+        resolution, mm, and ``reach``, the largest displacement along an axis of the coarsest search, mm.
         """
 
     @abstractmethod
     def peak_bytes(self, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> int:
-        """Estimate the peak working memory beside two volumes of ``shape`` (z, y, x) and ``spacing`` (mm), bytes."""
+        """Estimate the peak working memory in bytes, without the two volumes of ``shape`` and ``spacing`` (mm)."""
 
 
 Pipeline = Annotated[RegistrationPipeline, *method_of("depthcli.methods.registration.pipeline", key="pipeline")]

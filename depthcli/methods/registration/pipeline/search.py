@@ -1,4 +1,4 @@
-"""A search around every voxel: from a registered pair to expected error and shift (thesis, chapter 7)."""
+"""Expected error and shift of a registered pair, from a search around every voxel (thesis, chapter 7)."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ from depthcli.methods.registration.search import (
 
 _LENGTHS = ("eshift", "vshift", "shift")  # measures in mm
 _CT_BELOW, _CT_RANGE = -500.0, (-1000.0, 400.0)  # volumes with values below are CT, in Hounsfield units: air to bone
-_MAX_EXPONENT = 40  # intensities up to 2^40 stay as they are: their squares, 2^80, are well within float32 (2^128)
-_PYRAMID_SIGMA = 0.8  # of the Gaussian before a volume is halved, voxels
-# Where coarse searches take over: errors as shares of the reach of the search, by the coarse one and by the finer one.
+_MAX_EXPONENT = 40  # intensities up to 2^40 are not scaled: their squares, 2^80, are well within float32 (2^128)
+_PYRAMID_SIGMA = 0.8  # Gaussian before a volume is halved, voxels
+# Transition to coarse searches: errors as shares of the finer search's reach, by the coarse and by the finer search.
 _COARSE_SHARE, _FINE_SHARE = (0.6, 1.2), (0.8, 1.1)
-_GRID_ERROR = math.sqrt(1 / 2)  # voxels, of two volumes on grids: half a voxel along each of three axes, uniform
-_MIN_ERROR = 1 / 16  # voxels, of scores, where both volumes are the same
-_SCORE_SMOOTHING, _SCORE_RADIUS = 2.0, 5  # voxels, of the errors that scores are made of: those of the table's presets
-_STRUCTURED_QUANTILE = 0.8  # of the gradient, above which a voxel counts as structured; chosen by hand
-_N_BINS, _MIN_PER_BIN = 200, 20  # of the isotonic regression; chosen by hand
+_GRID_ERROR = math.sqrt(1 / 2)  # error of two volumes on grids: half a voxel along each of three axes, uniform; voxels
+_MIN_ERROR = 1 / 16  # floor of the error in scores, voxels; both volumes may be equal
+_SCORE_SMOOTHING, _SCORE_RADIUS = 2.0, 5  # smoothing and radius in the presets of the error table, voxels
+_STRUCTURED_QUANTILE = 0.8  # quantile of the gradient above which a voxel counts as structured; chosen by hand
+_N_BINS, _MIN_PER_BIN = 200, 20  # bins of the isotonic regression, and voxels per bin; chosen by hand
 
 
 class WorkingGrid(NamedTuple):
     """A grid of cubic voxels over the fixed volume."""
 
     shape: tuple[int, int, int]  # number of voxels, (z, y, x)
-    # step, start: side of a voxel and place of the first one's center, in voxels of the fixed volume
+    # side of a voxel, and center of the first one, in voxels of the fixed volume
     step: tuple[float, float, float]
     start: tuple[float, float, float]
 
 
 class RegistrationSearch(RegistrationPipeline):
-    """A search around every voxel for a better match than the registration's; where there is one, it is wrong."""
+    """Search around every voxel for a better match than the registration's; a better match indicates an error."""
 
     features: tuple[Feature, ...] = Field((Mind(),), min_length=1, max_length=4, description="what is compared")
     iso: float | None = Field(
@@ -112,17 +112,17 @@ class RegistrationSearch(RegistrationPipeline):
         return f"registration_{self.search}"
 
     def __call__(self, pair: RegisteredPair) -> RegistrationResult:
-        """Search around every voxel, and express the measures of its cost curve in mm, on the working grid.
+        """Search around every voxel, and convert the measures of its cost curve to mm, on the working grid.
 
-        ``figures``: ``border``, the share of voxels of interest whose cheapest displacement lies on the border of the
+        ``figures``: ``border``, the share of voxels of interest whose cheapest displacement is on the border of the
         coarsest search; ``iso``, mm; ``mean_error``, mm; ``reach``, the radius of the coarsest search, mm.
         """
         clock = Clock()
         clock.start("resample")
         grid = self.grid(pair.shape, pair.spacing)
         iso = grid.step[2] * pair.spacing[2]
-        # Features do not depend on the unit of intensities, but the squares of very large or very small ones leave the
-        # range of float32: these are scaled, by a power of two, which rounds nothing.
+        # Features do not depend on the unit of intensities, but the squares of very large or very small intensities
+        # exceed the range of float32. Scale them by a power of two, which does not round.
         extremes = np.array([extreme(volume) for volume in (pair.fixed, pair.warped) for extreme in (np.min, np.max)])
         bounds = self.intensity_range or (_CT_RANGE if extremes.min() < _CT_BELOW else (-np.inf, np.inf))
         exponent = math.frexp(np.abs(extremes.clip(*bounds)).max())[1]
@@ -164,7 +164,7 @@ class RegistrationSearch(RegistrationPipeline):
     def _searches(
         self, fixed: NDArray[np.float32], warped: NDArray[np.float32], iso: float, clock: Clock
     ) -> tuple[list[CurveMeasures], list[CurveMeasures]]:
-        # Search with every feature, and with the first one at every coarser resolution.
+        # Search with every feature at full resolution, and with the first feature at every coarser resolution.
         fine: list[CurveMeasures] = []
         coarse: list[CurveMeasures] = []
         shape = _every_nth(fixed, self.stride).shape
@@ -196,7 +196,7 @@ class RegistrationSearch(RegistrationPipeline):
         return fine, coarse
 
     def grid(self, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> WorkingGrid:
-        """Return the working grid of a volume, whose first voxels have its outer faces; an axis of one voxel stays."""
+        """Return the working grid of a volume, which starts at the volume's outer faces; an axis of one voxel stays."""
         axes = [a for a in range(3) if shape[a] > 1] or [2]
         iso = self.iso
         if iso is None:
@@ -212,7 +212,7 @@ class RegistrationSearch(RegistrationPipeline):
         voxels = math.prod(sizes)
         measured = math.prod(-(-n // self.stride) if n > 1 else 1 for n in sizes)
         channels = max(feature.channels for feature in self.features)
-        # Both volumes on the working grid, a feature while it is made or searched with, and all maps.
+        # both volumes on the working grid, a feature during its computation or search, and all maps
         making = 4 * voxels * (channels + 4) + channels * voxels
         searching = search_bytes(sizes, channels, self.radius, self.half_window, self.stride, n_threads())
         kept = (len(self.features) + self.levels - 1) * 17 * 4 * measured
@@ -221,7 +221,7 @@ class RegistrationSearch(RegistrationPipeline):
     def _error(
         self, fine: list[CurveMeasures], coarse: list[CurveMeasures], iso: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        # Expected error and displacement, mm: of coarse searches where the error is beyond the fine one.
+        # Return expected error and displacement, mm, from coarse searches where the error exceeds the fine search.
         length = self.measure if self.measure in _LENGTHS else "eshift"
         error = expected_error(fine, length, iso, self.smoothing / self.stride)
         displacement = np.mean([curves.displacement for curves in fine], axis=0)
@@ -236,8 +236,8 @@ class RegistrationSearch(RegistrationPipeline):
     def _scores(
         self, fine: list[CurveMeasures], coarse: list[CurveMeasures], iso: float
     ) -> tuple[NDArray[np.float32], ...]:
-        # Of each resolution minus log2 of the expected error in its voxels, whatever the measure. A search of a smaller
-        # radius than the table's expects less where nothing matches.
+        # For each resolution, return -log2 of the expected error in its voxels, always from eshift. Without a match, a
+        # search with a smaller radius than the table's expects smaller errors; ``doubt`` compensates for that.
         scores, doubt = [], max(1, _SCORE_RADIUS / self.radius)
         for k, searches in enumerate([fine, *([curves] for curves in coarse)]):
             error = expected_error(searches, "eshift", iso * 2**k, _SCORE_SMOOTHING / self.stride)
@@ -271,7 +271,7 @@ def _enlarged(curves: CurveMeasures, shape: tuple[int, ...], times: int) -> Curv
 
 
 def structured_voxels(volume: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Select the fifth of the voxels ``inside`` with the largest gradients: (Z, Y, X) bool, as both arguments."""
+    """Select the fifth of the voxels ``inside`` with the largest gradients; all arrays are (Z, Y, X), masks bool."""
     smooth = gaussian(volume, 1.0)
     square = np.zeros_like(smooth)
     for axis in range(3):
@@ -284,14 +284,14 @@ def structured_voxels(volume: NDArray[np.float32], inside: NDArray[np.bool_]) ->
 def expected_error(searches: list[CurveMeasures], measure: str, iso: float, sigma: float) -> NDArray[np.float32]:
     """Average a measure in mm over searches and surroundings, weighted by the inverse variance of the displacement.
 
-    An error is smooth where a registration is, and the curves of places without texture, or of a feature that is blind
-    to it, say little. To its square comes what the grids hide from the search. The surroundings are a Gaussian of
-    ``sigma`` measured places; ``iso`` is a voxel's side, mm.
+    The error of a smooth registration is smooth. Curves without texture, or of a feature that does not show it, have
+    large variances and so small weights. The error that the sampling grids add is added in quadrature. ``sigma`` is the
+    standard deviation of the Gaussian surroundings, in measured voxels; ``iso`` is a voxel's side, mm.
     """
     error, hidden, total = (np.zeros_like(searches[0].variance) for _ in range(3))
     for curves in searches:
         weight = np.reciprocal(curves.variance + np.float32(0.5 * iso**2))
-        # Windows that do not differ by half a level of the features are the same: nothing is in doubt there.
+        # Windows that differ by less than half a level of the features are almost equal: their error fades to 0.
         doubt = np.minimum(curves.maps["cost0"] * np.float32(2 * 255), 1)
         error += gaussian(curves.maps[measure] * weight * doubt, sigma)
         hidden += gaussian(weight * doubt, sigma)
@@ -301,11 +301,11 @@ def expected_error(searches: list[CurveMeasures], measure: str, iso: float, sigm
 
 
 def monotone(score: NDArray[np.float32], error: NDArray[np.float32], fitted: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the mean of ``error`` (mm) given ``score`` (any unit), which never falls as the score rises.
+    """Return the mean of ``error`` (mm) as a non-decreasing function of ``score`` (any unit).
 
-    Means of at most 200 bins of equally many ``fitted`` voxels, pooled where they fall (isotonic regression by
-    pool-adjacent-violators). Between bins the result rises strictly wherever the score does, so that no order is
-    lost; below the first bin it falls to 0 and above the last it goes on at the mean slope.
+    The ``fitted`` voxels are divided into at most 200 bins of equal counts, and the bins' means are fitted by isotonic
+    regression. A small slope makes the result increase strictly with the score, so that its order is kept. Beyond the
+    first and last bin the result continues at the mean slope, but not below 0.
     """
     x, y = score[fitted].astype(np.float64), error[fitted].astype(np.float64)
     order = np.argsort(x, kind="stable")
@@ -328,7 +328,7 @@ def monotone(score: NDArray[np.float32], error: NDArray[np.float32], fitted: NDA
 
 
 def isotonic(values: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the never falling sequence nearest to ``values`` in weighted squares, by pool-adjacent-violators."""
+    """Return the non-decreasing sequence closest to ``values`` in weighted squares, by pool-adjacent-violators."""
     blocks: list[list[float]] = []
     for value, weight in zip(values.tolist(), weights.tolist(), strict=True):
         blocks.append([value, weight, 1])

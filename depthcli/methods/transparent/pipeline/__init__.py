@@ -1,4 +1,4 @@
-"""Depth from a sensor and from sparse stereo: the data flow from frame to dense map. One file per pipeline."""
+"""Pipelines that combine a sensor's depth with sparse depth to a dense map: the data flow. One file per pipeline."""
 
 from __future__ import annotations
 
@@ -11,23 +11,24 @@ from depthcli.core.result import DepthResult
 
 
 class TransparentPipeline(Method):
-    """A complete method; a config names it under the key ``pipeline``."""
+    """Base of pipelines; a config selects a pipeline by the key ``pipeline``."""
 
     needs: ClassVar[Literal["sparse", "objects"]] = "sparse"
-    """Input in addition to color and depth: the sparse depth, or the mask of the objects."""
+    """Input in addition to color and depth: sparse depth, or a mask of the objects."""
 
     @abstractmethod
     def __call__(self, frame: SparseFrame) -> DepthResult:
         """Compute dense depth of ``frame``.
 
-        Status ``KEPT`` is the sensor's value, ``CORRECTED`` replaces an unreliable one, ``GAP_FILLED`` was unknown to
-        the sensor; either with ``SAMPLED`` where a sample at the pixel agrees, else it is inferred from around. A pixel
-        that no value reaches is ``EMPTY``. The picture ``unreliable`` is 255 where the sensor is unreliable.
+        Status ``KEPT`` is the sensor's value, ``CORRECTED`` replaces an unreliable value, and ``GAP_FILLED`` fills a
+        gap. Either of the latter has ``SAMPLED`` too if a sample at the pixel agrees; otherwise the value is inferred
+        from neighbors. A pixel that no value reaches is ``EMPTY``. The picture ``unreliable`` is 255 at unreliable
+        pixels of the sensor.
         """
 
     @abstractmethod
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Estimate of the peak working memory for a frame of ``shape``, in bytes."""
+        """Estimate the peak working memory for a frame of ``shape``, in bytes."""
 
 
 Pipeline = Annotated[TransparentPipeline, *method_of("depthcli.methods.transparent.pipeline", key="pipeline")]

@@ -1,4 +1,4 @@
-"""A fully connected CRF over depth labels, as of section 5.1.2 of the thesis, whose text is missing."""
+"""A fully connected CRF over depth labels, after section 5.1.2 of the thesis, whose text is missing."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from depthcli.methods.transparent.unreliable import UnreliableRegions
 
 
 class DenseCrf(TransparentPipeline):
-    """A dense CRF: labels are steps of inverse depth, costs come from sensor, samples and planes, similar pixels agree.
+    """A dense CRF whose labels are steps of inverse depth, with costs from sensor, samples and planes.
 
-    With ``unreliable`` the sensor's costs are dropped where it is unreliable; only these pixels and its gaps are
-    labelled, with a band around, and elsewhere the sensor's value stays. Without it every pixel is labelled, as in
-    ``thesis/ch5``.
+    Similar pixels get similar labels. With ``unreliable``, the sensor's costs are dropped at unreliable pixels. Only
+    these pixels, the gaps and a band around them are labelled, and the sensor's value is kept elsewhere. Without
+    ``unreliable``, every pixel is labelled, as in ``thesis/ch5``.
     """
 
     renamed: ClassVar[dict[str, str]] = {"suspicion": "unreliable", "flag": "separation"}
@@ -56,7 +56,7 @@ class DenseCrf(TransparentPipeline):
 
     def __call__(self, frame: SparseFrame) -> DepthResult:
         clock = Clock()
-        if self.unreliable is None:  # every sample agrees, no pixel is known to be unreliable, and all are labelled
+        if self.unreliable is None:  # every sample agrees, no pixel counts as unreliable, and all are labelled
             sensor, samples = inverse_depth(frame.depth), Samples.of(inverse_depth(frame.sparse))
             blank = np.full(frame.shape, np.nan, np.float32)
             fitted = FittedFrame(sensor, samples, np.inf, blank, np.zeros(frame.shape, np.bool_))
@@ -83,7 +83,7 @@ class DenseCrf(TransparentPipeline):
     def _unary(self, frame: SparseFrame, fitted: FittedFrame, region: Mask) -> tuple[float, float, Floats]:
         """Return the inverse depth of the first label, the step between labels, and the costs of the region's pixels.
 
-        These are (n, labels); the dense map counts only where the sensor has no depth, or is unreliable.
+        The costs are (n, labels). The dense map counts only at gaps and unreliable pixels of the sensor.
         """
         samples, nothing = np.full(frame.shape, np.nan, np.float32), np.float32(np.nan)
         samples[fitted.samples.rows, fitted.samples.columns] = fitted.samples.values
@@ -99,7 +99,7 @@ class DenseCrf(TransparentPipeline):
         unary = np.zeros((int(region.sum()), self.labels), np.float32)
 
         def distances(part: Floats) -> tuple[Mask, Floats]:
-            """Return which pixels of the region have a value, and its distance from each label."""
+            """Return which pixels of the region have a value, and the distance of these values from each label."""
             at = (part[region] - first) / step
             known = np.isfinite(at)
             distance = np.abs(np.arange(self.labels, dtype=np.float32) - at[known, None].astype(np.float32))
@@ -109,7 +109,7 @@ class DenseCrf(TransparentPipeline):
             known, distance = distances(part)
             unary[known] += np.float32(weight) * distance
         if frame.sparse_confidence is not None:
-            # Undo the cost of samples above as far as they lack confidence.
+            # Undo the samples' costs in proportion to their lack of confidence.
             known, distance = distances(samples)
             share = np.nan_to_num(1 - np.clip(frame.sparse_confidence[region][known], 0, 1))
             unary[known] -= np.float32(self.sample_weight) * share[:, None] * distance
@@ -118,7 +118,7 @@ class DenseCrf(TransparentPipeline):
     def _kernels(
         self, frame: SparseFrame, region: Mask, unreliable: Mask, separation: float
     ) -> tuple[GaussianKernel, GaussianKernel]:
-        """Return the similarity of the region's pixels by place and color, and by place alone."""
+        """Return two kernels for the region's pixels: by position and color, and by position alone."""
         rows, columns = (axis.astype(np.float32) for axis in np.nonzero(region))
         place = np.stack([columns, rows], axis=1)
         color = frame.color[region].astype(np.float32) / np.float32(self.bilateral_color)
@@ -132,6 +132,6 @@ class DenseCrf(TransparentPipeline):
         )
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        # Energies, marginals and intermediate arrays of all labels; the lattices; the fit.
+        # energies, marginals and intermediate arrays of all labels; the lattices; the fit
         pixels = shape[0] * shape[1]
         return pixels * (20 * self.labels + 4 * self.fit.neighbors + 1200) + (64 << 20)

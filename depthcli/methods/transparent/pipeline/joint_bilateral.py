@@ -16,7 +16,7 @@ from depthcli.methods.transparent.pipeline.nearest import NearestSample, nearest
 
 
 class JointBilateralFilling(TransparentPipeline):
-    """Where the sensor is unknown or far from the nearest sample: a mean of values around, by distance and color."""
+    """Fill gaps and unreliable pixels with a mean of known values around, weighted by distance and color."""
 
     window: Odd = Field(21, ge=3, le=101, description="side of the window, pixels, odd")
     sigma_space: float = Field(5.0, gt=0, description="standard deviation of the weight by distance, pixels")

@@ -16,7 +16,10 @@ from depthcli.methods.transparent.pipeline import TransparentPipeline
 
 
 class NearestSample(TransparentPipeline):
-    """The sensor's depth where it is near the nearest sample's, or far from any sample; the sample's elsewhere."""
+    """Keep the sensor's depth if it is close to the nearest sample's depth, or if no sample is near.
+
+    All other pixels take the depth of the nearest sample.
+    """
 
     tolerance: float = Field(0.015, ge=0, description="largest difference of a sensor that is kept, meters")
     relative_tolerance: float = Field(0.02, ge=0, description="as a share of the depth; the larger one counts")
@@ -32,7 +35,7 @@ class NearestSample(TransparentPipeline):
         return refined_depth(frame, values, unreliable, clock)
 
     def unreliable(self, frame: SparseFrame, dense: Floats) -> Mask:
-        """Select the pixels whose depth by the sensor is far from ``dense``, median of 5 x 5, (H, W) bool."""
+        """Select the pixels, (H, W) bool, whose sensor depth differs from ``dense`` near samples; median of 5 x 5."""
         blank = np.where(np.isfinite(frame.sparse), np.uint8(0), np.uint8(1))
         distance = cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         far = np.abs(dense - frame.depth) > np.maximum(self.tolerance, self.relative_tolerance * frame.depth)
@@ -44,7 +47,7 @@ class NearestSample(TransparentPipeline):
 
 
 def nearest_depth(frame: SparseFrame) -> Floats:
-    """Return the depth of the nearest sample, median of 5 x 5, (H, W) float32, meters; NaN without any sample."""
+    """Return the nearest sample's depth, median of 5 x 5, (H, W) float32, meters; NaN if there is no sample."""
     samples = Samples.of(frame.sparse)
     if samples.values.size == 0:
         return np.full(frame.shape, np.nan, np.float32)

@@ -1,4 +1,4 @@
-"""The sensor where it is reliable, planes through the samples that agree elsewhere."""
+"""The sensor's depth where it is reliable, and planes through agreeing samples elsewhere."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from depthcli.methods.transparent.unreliable import UnreliableRegions
 
 
 class Smoothing(ConfigModel):
-    """The mean of a window, weighted by similarity of color, at pixels that are far from all samples.
+    """The mean of a window, weighted by color similarity, at pixels far from all samples.
 
-    There a plane is an extrapolation, and those of neighboring pixels rest on other samples: their mean is nearer to
-    the surface. Near samples it would only flatten the fit.
+    There a plane is an extrapolation, and neighboring pixels have planes through other samples. The mean of these
+    planes is closer to the surface. Near samples a mean would only flatten the fit.
     """
 
     reach: float = Field(
@@ -33,7 +33,7 @@ class Smoothing(ConfigModel):
     color_scale: float = Field(12.0, gt=0, description="color difference where weights fall to exp(-1/2), grey levels")
 
     def __call__(self, values: Floats, samples: Samples, image: Image8, wanted: Mask) -> Floats:
-        """Smooth the ``wanted`` pixels of a map fitted to ``samples``; NaN is left out of the means."""
+        """Return the map with ``wanted`` pixels far from ``samples`` smoothed; means leave out NaN."""
         height, width = values.shape
         selected = wanted & np.isfinite(values) & (samples.distance((height, width)) > self.reach * width)
         result = values.copy()
@@ -44,7 +44,7 @@ class Smoothing(ConfigModel):
 
 
 class RobustPlanes(TransparentPipeline):
-    """Planes through cleaned samples replace the sensor where a graph cut finds that it contradicts them."""
+    """Replace the sensor by planes through cleaned samples in the regions where it contradicts them (graph cut)."""
 
     renamed: ClassVar[dict[str, str]] = {"suspicion": "unreliable"}
 
@@ -65,7 +65,7 @@ class RobustPlanes(TransparentPipeline):
         return refined_depth(frame, values, fitted.unreliable, clock, fitted.sampled(values), **figures)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        # Neighbors of every pixel, and the graph of the cut.
+        # neighbors of every pixel, and the graph of the cut
         return shape[0] * shape[1] * (4 * self.fit.neighbors + 700) + (64 << 20)
 
 

@@ -1,4 +1,4 @@
-"""The sensor alone, where no second depth is known: its depth inside a mask of the objects is given up."""
+"""The sensor alone, without sparse depth: its depth inside a mask of the objects is replaced."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from depthcli.methods.transparent.pipeline import TransparentPipeline
 
 
 class SensorAlone(TransparentPipeline):
-    """What surrounds the objects is continued over them, and over gaps, by planes along the cheapest paths.
+    """Continue the surroundings over objects and gaps, by planes along the cheapest paths.
 
-    The depth inside the mask is that of the scene around and behind, not of the objects, whose height is the error. On
-    three real frames (ClearGrasp, Sajjan et al. 2020) its median there is 19 to 100 mm, twice that of what the sensor
-    sees through the glass: use it to remove objects, or where holes are worse.
+    The depth inside the mask belongs to the scene around and behind the objects, so the height of the objects is the
+    error. On three real frames (ClearGrasp, Sajjan et al. 2020) the median error there is 19 to 100 mm, twice the
+    sensor's error through the glass. Use this pipeline to remove objects, or if holes are worse than such errors.
     """
 
     needs: ClassVar[Literal["sparse", "objects"]] = "objects"
