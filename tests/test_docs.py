@@ -1,5 +1,6 @@
 """The documentation: its reference is up to date, its links lead somewhere, its examples run."""
 
+import ast
 import json
 import os
 import re
@@ -219,3 +220,17 @@ def test_the_overview_is_drawn_as_it_is_committed():
     command = [sys.executable, str(DOCS / "examples" / "pictures.py"), "--check", "--only", "overview"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("start", sorted((ROOT / "depthcli").rglob("__init__.py")), ids=lambda file: file.parent.name)
+def test_the_table_of_a_package_names_its_modules(start: Path):
+    """A package whose docstring has a table of modules names all public ones, and no module that is gone."""
+    doc = ast.get_docstring(ast.parse(start.read_text("utf-8"))) or ""
+    if not re.search(r"^(\| module|=====)", doc, re.M):
+        return
+    folder = start.parent
+    modules = {file.stem for file in folder.glob("*.py")} | {file.parent.name for file in folder.glob("*/__init__.py")}
+    named = set(re.findall(r"``(\w+)/?``", " ".join(re.findall(r"^\|? *``.*?(?: \||  )", doc, re.M))))
+    assert {name for name in modules if not name.startswith("_")} <= set(re.findall(r"\w+", doc))
+    folders = {each.name for each in folder.iterdir() if each.is_dir()}
+    assert named <= modules | folders | {file.stem for file in folder.glob("pipeline/*.py")}

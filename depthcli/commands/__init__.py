@@ -1,12 +1,12 @@
-"""The sub-commands, one file each; the only place where files meet algorithms.
+"""The sub-commands, one file each: options in, exit code out.
 
 A public module here is a command: it defines a function of its own name, whose parameters typer reads as arguments and
 options (``_options``), and the module's docstring is its help. The function returns the exit code.
 Nothing heavy is imported before it runs: each imports the module that does the work where it needs it.
 
 A command that makes a run folder gives its options to ``run_problem`` (``_run``), which takes the problem from
-:mod:`depthcli.problems`, finds the scenes (``_scenes``), has every scene computed by
-:func:`depthcli.run.runner.run_scenes`, evaluates where that is requested, and prints the table.
+:mod:`depthcli.problems`, finds the scenes (``io/scenes/find``), has every scene computed by
+:func:`depthcli.run.runner.run_scenes`, evaluates if that is requested, and prints the table.
 """
 
 from __future__ import annotations

@@ -281,7 +281,7 @@ class RunOptions(Printing):
             raise ConfigError("--evaluate needs all scenes: run depthcli evaluate when all shards are done")
         if self.scheduler is not None and self.jobs not in ("auto", "1"):
             raise ConfigError("--jobs and --scheduler exclude each other: a cluster has as many workers as it has")
-        assert isinstance(self.conditions, list)
+        _ = self.conditions  # raises ConfigError
 
     @cached_property
     def conditions(self) -> list[Condition]:

@@ -13,6 +13,7 @@
 5. Tables, plots, page and contact sheet are made in the room ``report``, by viewers, which get the maps while they
    are scored. A protocol's words, units and colors are its ``Presentation``.
 
-``benchmarks`` is separate: the files of a submission to a benchmark. Begin with
-``protocols/middlebury_v2.py``, the shortest protocol; ``report.terms`` explains all metrics and regions.
+``bounds`` scores error bounds, ``sweeps`` compares the runs of ``sweep``, and ``benchmarks`` writes the files of a
+submission to a benchmark. Begin with ``protocols/booster.py``, the shortest protocol; ``report.terms`` explains all
+metrics and regions.
 """

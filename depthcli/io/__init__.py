@@ -8,7 +8,8 @@ names the file.
 =================  ============================================================================================
 ``scenes/``        start here: ``find`` gives the scenes of a folder, an archive, a URL, or of options; ``pairs``,
                    ``frames`` and ``volumes`` tell how people lay out folders, by rows of file names
-``stereo_pairs``   loads stereo pairs; ``rgbd_frames`` color and depth, ``volume_pairs`` registered volumes
+``stereo_pairs``   loads stereo pairs; ``rgbd_frames`` color and depth, ``volume_pairs`` registered volumes,
+                   ``calibration_photos`` photos of a board
 ``formats/``       content of files, one module per format: images, disparity, depth, volumes, fields, calibrations
 ``networks/``      trained networks that the package brings along
 =================  ============================================================================================

@@ -187,11 +187,6 @@ class CompileWatch(numba.core.event.Listener):
         self._depth = 0
         self._begin = 0.0
 
-    @property
-    def busy(self) -> bool:
-        """Return whether a kernel is being compiled."""
-        return self._depth > 0
-
     def on_start(self, event: Any) -> None:
         self.kernels += 1
         self._depth += 1

@@ -95,8 +95,7 @@ def evaluate(
     estimate : a result, or an array of the truth's size: disparities in pixels, depths in meters, or expected
         registration errors in mm; what is not finite is no value, of depths what is not positive
     truth : (H, W) disparities or depths; or registration errors, (Z, Y, X) or (N,) of points; NaN = unknown
-    protocol : ``middlebury-v2``, ``middlebury-v3``, ``eth3d``, ``kitti-2012``, ``kitti-2015``, ``depth`` or
-        ``registration``
+    protocol : a name of ``depthcli.evaluation.protocols.names()``, such as ``middlebury-v2`` or ``depth``
     mask : (H, W), True where pixels count, the region ``all``; or name of a region -> mask, such as ``nonocc``
     threshold : of the headline, in the protocol's unit; None: the benchmark's
     fb : of depths: focal length x baseline of the sensor, for errors in its pixels

@@ -137,19 +137,19 @@ def bound_tables(section: Section) -> list[Table]:
         "finite %": ("bound finite", 1), f"median, {unit}": ("bound median", 2),
         "mean/constant": ("bound / constant", 2),
     }  # fmt: skip
-    rows, covered = [], []
+    rows, covered, surest = [], [], dict[str, None]()
     for run, scores in means.items():
         maps = [result for result in section.results_of(run) if result.bounds]
         for region in dict.fromkeys(score.region for score in scores):
             found = {s.metric.name: s for s in scores if s.region == region}  # of one level, and its last share of BAD
             cells = [Number(found[name].value if name in found else math.nan, n) for name, n in columns.values()]
             bad = [s for s in scores if (s.metric.name, s.region) == (BAD, region)]
+            surest |= dict.fromkeys(f"bad of {score.metric.threshold:g} %" for score in bad)
             start = (run, str(found[COVERING].pixels), region, f"{found[COVERAGE].metric.threshold:g}")
             rows.append((*start, *cells, *(Number(score.value) for score in bad)))
         for result in maps:
             shares = {s.region: s.value for s in result.bounds if s.metric.name == COVERAGE}
             covered.append((result.run, short(result.scene), shares))
-    surest = [f"bad of {score.metric.threshold:g} %" for score in bad]
     note = (
         "over pixels with truth and value; coverage: of the finite bounds, the share that the error is within; they "
         "promise the level; finite: share of bounds that are (the others are open: the search ends before); "

@@ -186,6 +186,8 @@ def draw(view: View, what: str, scale: Range | None = None) -> Picture:
             return kind_colors()[view.kinds]
         shade = step_of(view.error, *(scale or view.scale), _N_SHADES)
         return _over_image(view, error_scales()[view.kinds, shade], view.kinds == UNKNOWN)
+    if not what.startswith("confidence"):
+        raise ValueError(f"the view has nothing called {what!r}")
     name = what.removeprefix("confidence").removeprefix(":")
     return _grey(view.confidence[name] if name else view.values)
 

@@ -1,10 +1,11 @@
-"""What cost measures, confidence measures, optimizers, refinement steps and smoothness terms have to pass, ours too.
+"""Checks for cost measures, confidence measures, optimizers, refinement steps and smoothness terms, ours included.
 
 >>> from depthcli.methods.stereo.cost.census import Census
 >>> from depthcli.testing import check_cost_measure
 >>> check_cost_measure(Census())
 
-Every ``check_...`` raises AssertionError with a line that names the class and the promise that it does not keep.
+Every ``check_...`` raises AssertionError with a line that names the class and the broken promise. ``inputs`` makes the
+random inputs of all checks.
 """
 
 from __future__ import annotations

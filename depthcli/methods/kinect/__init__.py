@@ -23,7 +23,7 @@ the planes' votes. 5. ``candidates.choose_candidates``: which candidate |
 unreliable. 2. Segments, from fine to coarse (``algorithms.segmentation``). 3. ``layers``: a surface for each segment, \
 the neighbor that a segment without a surface joins, and the detail that surfaces leave out; then the median of the \
 segmentations, and which measurements it replaces. 4. ``gap_filling`` along paths |
-| ``sequence`` | like ``dsrm``, but segments and surfaces are carried from frame to frame |
+| ``sequence`` | like ``dsrm``, but segments and surfaces are carried from frame to frame by ``camera_motion`` |
 | ``shadow_smoother``, at video rate | 1. ``depth_edges``, ``gap_limits`` and ``gap_filling``: a value and its \
 confidence for each pixel. 2. Smoothing |
 | the others | filters of libraries, for comparison |

@@ -5,6 +5,7 @@ Start at :func:`.matching.match`. The modules, in the order in which data pass t
 | module | input -> output |
 |---|---|
 | ``rectification`` | points matched by ``view_matching`` -> homographies that bring them to the same rows |
+| ``keypoint_matching`` | pair -> matched key points, for the segments of chapter 2 |
 | ``search_range`` | pair, ends given by the user or "auto" -> the disparities to search (by the pair at a small size) |
 | ``matching`` | matcher, pair, largest disparity, limits -> ``StereoResult``; matched whole, in tiles or on a device |
 | ``stages`` | ``PairMatcher``, the base of all matchers; ``CostStages``, the families below in one object |
@@ -23,5 +24,6 @@ The families of methods, a folder each with one file per method; a folder's ``_d
 | ``optimization/`` | costs, pair -> costs that include smoothness; every pixel then takes its cheapest disparity |
 | ``refinement/`` | map, costs, pair -> a better (H, W) map: outliers removed, holes filled, subpixel values |
 | ``networks`` | network file, images -> disparities or features, for the pipeline and the cost called ``onnx`` |
+| ``boundary/`` | colors of two segments -> cost of different planes at their boundary |
 | ``segments/`` | costs, pair -> map with one plane per segment, instead of optimization and selection |
 """

@@ -38,7 +38,7 @@ class LeftRightCheck(Refinement):
 
 @jit
 def _check(begin, end, values, right, tolerance, n_disparities, out, status):
-    occluded, mismatch = np.uint8(1), np.uint8(2)
+    occluded, mismatch = np.uint8(1), np.uint8(2)  # Status.OCCLUDED, Status.MISMATCH
     width = values.shape[1]
     for y in range(begin, end):
         matched = np.zeros(width, np.bool_)  # by a pixel of the right view
