@@ -12,6 +12,6 @@ The life of a scene, from :func:`depthcli.run.runner.run_scenes`, which gets a `
 
 A kill at any moment leaves files that one of these steps recognizes when the same command is started again.
 
-Others: ``job`` is the interface of a command, ``console`` is the output on the terminal, ``resources`` cores and memory, ``flags`` has the conditions of
-``--flag``.
+Others: ``job`` is the interface of a command, ``console`` the output on the terminal, ``resources`` cores and memory,
+``flags`` the conditions of ``--flag``.
 """
