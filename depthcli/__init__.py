@@ -1,6 +1,6 @@
 """depthcli: batch stereo matching, depth refinement, fusion, confidence and their evaluation.
 
-The functions and classes for Python stand in ``__init__.pyi``, with their modules, which are imported on first use.
+``__init__.pyi`` lists the public functions and classes with their modules, which are imported on first use.
 """
 
 import re

@@ -1,7 +1,7 @@
-"""The command line: finds the command that is named, gives its function to typer, and maps errors to exit codes.
+"""The command line: find the command, give its function to typer, and map errors to exit codes.
 
 Exit codes: 0 all done; 1 a bug; 2 wrong usage, config or plug-in, or a full disk; 3 finished, but something failed; 4
-rows are flagged that count as failures; 130 Ctrl-C; 143 SIGTERM. Nothing heavy is imported before a command runs.
+rows are flagged, with ``--fail-flagged``; 130 Ctrl-C; 143 SIGTERM. Heavy modules are imported only when a command runs.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from depthcli.core.plugins import load_plugin, plugin_behind
 from depthcli.run.console import Reporter, silence_warnings
 
 _STREAM_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
-"""System errors of a stream whose disk is full or whose device fails."""
+"""Errors of a stream if the disk is full or the device fails."""
 
 _MAY_BE_EMPTY = ("--caption", "--set")
 _MAX_THREADS = 1024
@@ -54,7 +54,7 @@ PluginOption: TypeAlias = Annotated[
 
 
 class _Commands(TyperGroup):
-    """The commands of ``commands/``; each is imported when it is named."""
+    """The commands of ``commands/``; each is imported on use."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
@@ -73,14 +73,14 @@ class _Commands(TyperGroup):
 
 
 def command_of(name: str) -> Any:
-    """Return the command of that name as typer builds it, None where there is none."""
+    """Return typer's command of that name, or None if there is none."""
     found = commands.find(name)
     if found is None:
         return None
     app = typer.Typer(add_completion=False, **_SETTINGS)
     text = commands.text_of(found).replace("\nExamples:\n", "\n\b\nExamples:\n")  # \b: these lines are not wrapped
     callback = _with_groups(found)
-    if "_DEPTHCLI_COMPLETE" in os.environ:  # a shell asks what may come next
+    if "_DEPTHCLI_COMPLETE" in os.environ:  # a shell asks for completions
         from depthcli.commands._completion import complete_values
 
         complete_values(callback)
@@ -89,7 +89,7 @@ def command_of(name: str) -> Any:
 
 
 def _with_groups(function: Callable[..., int]) -> Callable[..., int]:
-    """Return a command's function with the signature that typer reads: fields of groups are options of their own."""
+    """Return a command's function with a signature for typer, in which fields of groups are options."""
     groups: dict[str, tuple[type, list[str]]] = {}
     make = functools.partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
     parameters = [make("plugin", default=None, annotation=PluginOption), make("context", annotation=typer.Context)]
@@ -148,7 +148,7 @@ def depthcli(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command and return its exit code; messages go to stderr, a traceback only for bugs and plug-ins."""
+    """Run a command and return its exit code; messages go to stderr, with tracebacks only for bugs and plug-ins."""
     words = sys.argv[1:] if arguments is None else arguments
     _repair_streams()
     silence_warnings()
@@ -166,7 +166,7 @@ def main(arguments: list[str] | None = None) -> int:
     except IncompleteError as error:
         _print_error(f"depthcli: {error}")
         return SOME_FAILED
-    except DepthcliError as error:  # several lines are the problems of a config, each with its place
+    except DepthcliError as error:  # several lines are a config's problems, each with its place
         _print_error(f"depthcli: {error}" if "\n" not in str(error) else str(error))
         return 2
     except Terminated:
@@ -178,7 +178,7 @@ def main(arguments: list[str] | None = None) -> int:
         _print_error("depthcli: interrupted; the same command goes on where it stopped")
         return 130
     except BaseException as error:
-        if getattr(error, "exit_code", None) == 2 and hasattr(error, "show"):  # wrong usage, as typer tells it
+        if getattr(error, "exit_code", None) == 2 and hasattr(error, "show"):  # wrong usage; typer prints it
             with contextlib.suppress(OSError):
                 error.show()
             return 2
@@ -190,7 +190,7 @@ def main(arguments: list[str] | None = None) -> int:
         if isinstance(error, SystemExit) and not plugin:
             if error.code != 1 or "_DEPTHCLI_COMPLETE" in os.environ:
                 raise
-            return 0  # the reader of a help text has closed the pipe (--help | head)
+            return 0  # the reader of the help has closed the pipe (--help | head)
         if not plugin and (text := shortage(error)):
             _print_error(f"depthcli: {text}")
             return 2
@@ -206,12 +206,12 @@ def main(arguments: list[str] | None = None) -> int:
             sys.stdout.flush()
         try:
             sys.stderr.flush()
-        except (OSError, ValueError):  # the interpreter's last flush would fail, and with it the exit code
+        except (OSError, ValueError):  # otherwise the interpreter's last flush would change the exit code
             Reporter.close(sys.stderr)
 
 
 class _Once(logging.Filter):
-    """Lets each warning of a call pass once."""
+    """Pass each warning of a call only once."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -225,7 +225,7 @@ class _Once(logging.Filter):
 
 
 def _check_words(words: Sequence[str]) -> None:
-    """Raise ConfigError for an empty option or argument, which would name the current folder, or a wrong variable."""
+    """Raise ConfigError for a wrong NUMBA_NUM_THREADS or an empty word, which would name the current folder."""
     for before, word in pairwise(["", *words]):
         name = word[:-1] if word.startswith("--") and word.endswith("=") else before
         if (not word or word == f"{name}=") and name not in _MAY_BE_EMPTY:
@@ -236,9 +236,9 @@ def _check_words(words: Sequence[str]) -> None:
 
 
 def _load_plugins(words: Sequence[str]) -> None:
-    """Load all ``--plugin``, which may hold the command itself; one without a value is left to typer."""
+    """Load all ``--plugin`` options, since a plug-in may define the command; typer reports a missing value."""
     completes = "_DEPTHCLI_COMPLETE" in os.environ
-    if completes:  # a line whose end is missing, as bash and the other shells hand it over
+    if completes:  # an incomplete line; bash and the other shells pass it in different variables
         words = (os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS", "")).split()
     for option, value in pairwise([*words, ""]):
         if option == "--":
@@ -250,9 +250,9 @@ def _load_plugins(words: Sequence[str]) -> None:
 
 
 def _repair_streams() -> None:
-    """Keep a closed stream, or one that cannot encode a name, from ending a run."""
+    """Prevent that a run ends because a stream is closed or cannot encode a name."""
     for name in ("stdin", "stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed; the next file that is opened would take its number
+        if getattr(sys, name) is None:  # closed; the next opened file would get its number
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
         with contextlib.suppress(AttributeError, ValueError, OSError):
             getattr(sys, name).reconfigure(errors="backslashreplace")

@@ -31,25 +31,25 @@ _GROUPS = {
     "Prepare and convert": ("sample", "calibrate", "rectify", "depth"),
     "Evaluate and report": ("evaluate", "sweep", "export", "presets"),
 }
-"""Headings of ``depthcli --help``; commands that are listed nowhere come last, under a heading of their own."""
+"""Heading of ``depthcli --help`` -> commands; other commands come last, under their own heading."""
 
 CommandT = TypeVar("CommandT", bound=Callable[..., int])
 
 
 def names() -> list[str]:
-    """Return the names of all commands, as typed: our own, sorted, then the commands of plug-ins."""
+    """Return the names of all commands as typed: the package's, sorted, then the plug-ins'."""
     return [*own_names(), *sorted(plugins.commands)]
 
 
 @cache
 def own_names() -> tuple[str, ...]:
-    """Return the names of our own commands, as typed, sorted."""
+    """Return the sorted names of the package's commands as typed."""
     found = (module.name for module in pkgutil.iter_modules(__path__))
     return tuple(sorted(name.replace("_", "-") for name in found if not name.startswith("_")))
 
 
 def grouped_names() -> dict[str, list[str]]:
-    """Return heading -> names of its commands, in the order of ``depthcli --help``; every command is under one."""
+    """Return heading -> names of its commands, in the order of ``depthcli --help``."""
     groups = {heading: list(group) for heading, group in _GROUPS.items()}
     if more := [name for name in names() if not any(name in group for group in groups.values())]:
         groups["More"] = more
@@ -57,7 +57,7 @@ def grouped_names() -> dict[str, list[str]]:
 
 
 def command(config: type[BaseModel] | None = None) -> Callable[[CommandT], CommandT]:
-    """Return a decorator that makes a function of a plug-in a command; ValueError if we have one of its name.
+    """Return a decorator that makes a plug-in's function a command. It raises ValueError if the name is taken.
 
     Parameters
     ----------
@@ -74,14 +74,14 @@ def command(config: type[BaseModel] | None = None) -> Callable[[CommandT], Comma
 
 
 def config_model(name: str) -> type[BaseModel] | None:
-    """Return the class of a command's configs; None where it has no configs, or there is no such command."""
+    """Return the class of a command's configs, or None if it has no configs or does not exist."""
     if name in problems.PROBLEMS:
         return problems.config_model(name)
     return getattr(find(name), "config", None)
 
 
 def find(name: str) -> Callable[..., int] | None:
-    """Return the function of a command, ours or a plug-in's; None if no command has that name."""
+    """Return the function of a command, or None if there is no such command."""
     plain = name.replace("-", "_")
     if name.replace("_", "-") not in own_names():
         return plugins.commands.get(name.replace("_", "-"))
@@ -90,13 +90,13 @@ def find(name: str) -> Callable[..., int] | None:
 
 
 def text_of(function: Callable[..., int]) -> str:
-    """Return the help of a command: the docstring of its module, or of a plug-in's function itself."""
+    """Return the help of a command: the docstring of its module or of a plug-in's function."""
     own = function.__module__.startswith(f"{__name__}.")
     return inspect.cleandoc((sys.modules[function.__module__] if own else function).__doc__ or "")
 
 
 def help_of(name: str) -> str:
-    """Return the first paragraph of a command's help; of our own without importing it, since ``--help`` lists all."""
+    """Return the first paragraph of a command's help; the package's commands are not imported for it."""
     if name in own_names():
         text = Path(__path__[0], f"{name.replace('-', '_')}.py").read_text("utf-8").split('"""')[1]
     else:

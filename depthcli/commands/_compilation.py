@@ -1,4 +1,4 @@
-"""What ``presets compile`` does: a generated scene is computed with each preset, by processes side by side."""
+"""Compile kernels for ``presets compile``: compute a generated scene with each preset, in parallel processes."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from depthcli.run.console import Reporter
 
 _SCENES = {"refine-kinect": ["--kinect"], "transparent": ["--transparent"], "register-confidence": ["--registration"]}
 _BOUNDED = ("stereo", "fuse")
-"""Commands that measure bounds of the error only with ``--bound``, which has kernels of its own."""
+"""Commands that compute error bounds only with ``--bound``, which has its own kernels."""
 
 
 def compile_presets(patterns: Sequence[str], reporter: Reporter) -> int:
-    """Compile the kernels of all presets called by one of the patterns; return 0, or 1 where one could not be used."""
+    """Compile the kernels of all presets that match a pattern; return 0, or 1 if a preset failed."""
     presets = [(command, name) for command, name, _ in list_presets()]
     for pattern in patterns:
         if not any(_is_called(preset, pattern) for preset in presets):
@@ -61,7 +61,7 @@ def _is_called(preset: tuple[str, str], pattern: str) -> bool:
 
 
 def _run(words: Sequence[str]) -> str:
-    """Run a command in a process of its own, on one thread; return what it says where it fails, else nothing."""
+    """Run a command in another process on one thread; return its error message, or an empty text."""
     command = [sys.executable, "-m", "depthcli", *words, "-q"]
     done = subprocess.run(
         command, capture_output=True, text=True, check=False, env=os.environ | {"NUMBA_NUM_THREADS": "1"}

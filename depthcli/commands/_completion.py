@@ -1,4 +1,4 @@
-"""Completion of a command line in a shell: names of presets, layouts and protocols, and keys of a config."""
+"""Shell completion: names of presets, layouts and protocols, and keys of a config."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from depthcli.io.scenes.find import ALL_KINDS
 
 
 def complete_values(callback: Callable[..., int]) -> None:
-    """Have the values of a command's parameters completed, before typer reads them from its annotations."""
+    """Add completion to the annotations of a command's parameters, before typer reads them."""
     for name, annotation in callback.__annotations__.items():
         if name in _FUNCTIONS:
             annotation.__metadata__[0].autocompletion = _beginning(_FUNCTIONS[name])
@@ -24,7 +24,7 @@ def complete_values(callback: Callable[..., int]) -> None:
 
 def _beginning(function: Callable[[Context], list[str]]) -> Callable[[Context, str], list[str]]:
     def complete(ctx: Context, incomplete: str) -> list[str]:
-        with contextlib.suppress(Exception):  # there is no place for a message
+        with contextlib.suppress(Exception):  # completion cannot show messages
             return [text for text in function(ctx) if text.startswith(incomplete)]
         return []
 
@@ -32,7 +32,7 @@ def _beginning(function: Callable[[Context], list[str]]) -> Callable[[Context, s
 
 
 def presets(context: Context) -> list[str]:
-    """Return the names of the presets of the command, of all commands where it has none."""
+    """Return the names of the command's presets, or of all presets if it has none."""
     found = list_presets()
     own = [name for command, name, _ in found if command == _command(context)]
     return own or list(dict.fromkeys(name for _, name, _ in found))
@@ -49,12 +49,12 @@ def protocols(context: Context) -> list[str]:
 
 
 def keys(context: Context) -> list[str]:
-    """Return the keys of the config that the command line names, each with an equals sign."""
+    """Return the keys of the command line's config, each with an equals sign."""
     command = _command(context)
     model = config_model(command)
     if model is None or not issubclass(model, RootConfig):
         return []
-    named = context.params["config"] or context.args[0]  # the latter before an option that has no value yet
+    named = context.params["config"] or context.args[0]  # args: before an option without a value
     config = load_config(model, find_config(command, named))
     return [f"{key}=" for key in _keys(config.model_dump(mode="json", by_alias=True))]
 

@@ -1,7 +1,7 @@
 """Options, alone and in groups, as typer reads them from the types of parameters.
 
-A command takes single options (``set: SetOption = None``) and groups of them (``run: RunOptions``), dataclasses whose
-fields become options of their own.
+A command has single options (``set: SetOption = None``) and groups (``run: RunOptions``): dataclasses whose fields
+become options.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from depthcli.run.flags import Condition, conditions_of
 from depthcli.run.job import Execution, shard_of
 
 NOWHERE = Path(os.devnull, "no output")
-"""In place of a run folder where nothing is computed and none is given."""
+"""Stands for the run folder if none is given, which is allowed if nothing is computed."""
 _MAX_JOBS = 512
-_URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # pathlib leaves one slash
+_URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # pathlib merges the two slashes
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 
 
-# A name is given where typer would make another one of the parameter's: flags get no "--no-..." by it.
+# Names are given if typer would derive others from the parameter; flags then get no "--no-...".
 ConfigArgument: TypeAlias = Annotated[
     str,
     Argument(metavar="CONFIG", help="YAML file, or the name of a preset."),
@@ -68,7 +68,7 @@ FailFlaggedOption: TypeAlias = Annotated[bool, Option("--fail-flagged", help="Ex
 
 
 def option(default: Any, *names: str, **settings: Any) -> Any:
-    """Return a field of a group that is an option of its own, described as by ``typer.Option``."""
+    """Return a field of a group that is an option, with the arguments of ``typer.Option``."""
     return field(default=default, metadata={"option": Option(*names, **settings)})
 
 
@@ -79,17 +79,17 @@ class Printing:
     json: bool = option(False, "--json", help="Print one JSON document instead of a table.")
     verbose: bool = option(False, "--verbose", "-v", help="Print details on stderr.")
     quiet: bool = option(False, "--quiet", "-q", help="Print only errors, and no table.")
-    command_line: str = ""  # of this call, as a shell takes it
+    command_line: str = ""  # this call, quoted for a shell
 
     @cached_property
     def reporter(self) -> Reporter:
-        """What takes messages and data."""
+        """The reporter for messages and data."""
         return Reporter(-1 if self.quiet else int(self.verbose), self.command_line)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TableOptions:
-    """Which tables of an evaluation are printed, and how."""
+    """Selection and format of printed tables of an evaluation."""
 
     tables: str | None = option(
         None, metavar="NAMES", help="Tables to print: all, or metrics,scenes-nonocc ... or headline."
@@ -100,7 +100,7 @@ class TableOptions:
 
 
 def local_output(output: Path | None) -> Path | None:
-    """Return the value of ``--output``; typer.BadParameter where it names no place on this machine."""
+    """Return the value of ``--output``. Raise typer.BadParameter if it is no place on this machine."""
     if output is not None and _URL.match(str(output)) and not os.path.lexists(output.parts[0]):
         raise BadParameter("results are written to this machine, not to URLs; give a folder")
     if str(output) == "-":
@@ -109,7 +109,7 @@ def local_output(output: Path | None) -> Path | None:
 
 
 def parse_bytes(text: str, option: str = "--max-memory") -> int:
-    """Return ``2GiB``, ``500M`` or ``1e9`` in bytes; ConfigError for any other text."""
+    """Return a size such as ``2GiB``, ``500M`` or ``1e9`` in bytes. Raise ConfigError for other texts."""
     match = re.fullmatch(r"\s*(\d{1,18}(?:\.\d{0,9})?(?:[eE]\d{1,2})?)\s*([kmgt]i?|)b?\s*", text, re.IGNORECASE)
     size = int(float(match[1]) * _UNITS[match[2].lower()]) if match else 0
     if size < 1:
@@ -119,7 +119,7 @@ def parse_bytes(text: str, option: str = "--max-memory") -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneOptions:
-    """Which scenes a command works on; a group of a command adds the options that name the files of a single one."""
+    """Options that select scenes; subclasses add options for the files of a single scene."""
 
     single_files: ClassVar[str] = ""
     """The options that name the files of a single scene, for messages."""
@@ -132,7 +132,7 @@ class SceneOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PairOptions(SceneOptions):
-    """Image pairs: a folder of them, or the files of one, or of several by patterns or videos."""
+    """Image pairs: a folder of pairs, or left and right as files, patterns or videos."""
 
     single_files: ClassVar[str] = "--left FILE and --right FILE"
 
@@ -143,7 +143,7 @@ class PairOptions(SceneOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationOptions:
-    """A calibration of two cameras, and how it is read: one group of all commands that take one."""
+    """A calibration of two cameras and options for reading it."""
 
     calibration: list[Path] | None = option(
         None,
@@ -167,7 +167,7 @@ class CalibrationOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class RangeOptions(CalibrationOptions, PairOptions):
-    """Image pairs with what else is known of them: calibration and search range, which override keys of the config."""
+    """Image pairs with calibration and search range, which override keys of the config."""
 
     max_disparity: MaxDisparityOption = None
     min_disparity: str | None = option(None, metavar="N", help="Smallest disparity searched, or auto. Default: 0.")
@@ -175,7 +175,7 @@ class RangeOptions(CalibrationOptions, PairOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class CodingOptions:
-    """How the maps of other runs are named and coded."""
+    """Naming and coding of maps from other programs."""
 
     pattern: list[str] | None = option(
         None, metavar="PATTERN", help="Path of a map, '{scene}/a.tiff'. Of one run: NAME=..."
@@ -190,7 +190,7 @@ class CodingOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameOptions(SceneOptions):
-    """Frames of color and depth: a folder of them, or the files of one."""
+    """RGB-D frames: a folder of frames, or the files of one frame."""
 
     single_files: ClassVar[str] = "--color FILE and --depth FILE"
 
@@ -200,7 +200,7 @@ class FrameOptions(SceneOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class DepthOptions:
-    """How the depth of sensors is read, and what is written beside the refined map."""
+    """Options for reading the depth of sensors, and for output besides the refined map."""
 
     depth_scale: float | None = option(None, metavar="CODES", help="Codes a meter of the depth files.")
     intrinsics: str | None = option(None, metavar="NUMBERS", help="Of the color camera, pixels: fx,fy,cx,cy.")
@@ -221,7 +221,7 @@ class DepthOptions:
     )
 
     def settings(self) -> dict[str, Any]:
-        """Return config key -> value, None: not given; ConfigError if no camera can have the intrinsics."""
+        """Return config key -> value, None if not given. Raise ConfigError for impossible intrinsics."""
         given = vars(self) | {"ply": self.ply or None}
         if self.intrinsics is not None:
             camera_of("--intrinsics", self.intrinsics)
@@ -230,7 +230,7 @@ class DepthOptions:
 
 
 def camera_of(option: str, text: str) -> tuple[float, float, float, float]:
-    """Return fx, fy, cx, cy of an option; ConfigError if no camera can have them."""
+    """Return fx, fy, cx, cy from an option. Raise ConfigError if they are impossible."""
     try:
         fx, fy, cx, cy = (float(number) for number in text.split(","))
     except ValueError:
@@ -242,9 +242,9 @@ def camera_of(option: str, text: str) -> tuple[float, float, float, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(Printing):
-    """How the scenes are computed, where the results go, and how they are reported.
+    """Options for computation, output and reports.
 
-    ``evaluate`` and ``html`` become options of commands whose group declares them so, see :class:`ScoredRunOptions`.
+    ``evaluate`` and ``html`` are options only in subclasses that declare them, see :class:`ScoredRunOptions`.
     """
 
     output: Annotated[
@@ -274,7 +274,7 @@ class RunOptions(Printing):
     html: bool = False
 
     def __post_init__(self) -> None:
-        """Raise ConfigError where options are wrong or exclude each other, before any file is read."""
+        """Raise ConfigError for invalid or contradictory options, before any file is read."""
         if self.output == NOWHERE and not (self.dry_run or self.list_scenes):
             raise ConfigError("give --output DIR, the folder to write into")
         if self.execution.shard is not None and (self.evaluate or self.html):
@@ -285,12 +285,12 @@ class RunOptions(Printing):
 
     @cached_property
     def conditions(self) -> list[Condition]:
-        """The conditions of ``--flag``; ConfigError if one is wrong, or ``--fail-flagged`` has none."""
+        """The conditions of ``--flag``. Raise ConfigError for a wrong one, or ``--fail-flagged`` without any."""
         return conditions_of(self.flag, self.fail_flagged)
 
     @cached_property
     def execution(self) -> Execution:
-        """How the run is carried out; ConfigError for a wrong number, size or shard."""
+        """The options for execution. Raise ConfigError for an invalid number, size or shard."""
         if self.jobs != "auto" and not (self.jobs.isdecimal() and 1 <= int(self.jobs) <= _MAX_JOBS):
             raise ConfigError(f"--jobs: must be auto, or 1 to {_MAX_JOBS} (got {self.jobs!r})")
         return Execution(
@@ -307,7 +307,7 @@ class RunOptions(Printing):
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredRunOptions(RunOptions):
-    """The options of a run whose results can be compared with ground truth of its input."""
+    """Options of a run whose results can be compared with the input's ground truth."""
 
     evaluate: bool = option(False, "--evaluate", help="Compare the results with the input's ground truth.")
     html: HtmlOption = False
@@ -315,7 +315,7 @@ class ScoredRunOptions(RunOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class SampleOptions:
-    """The scenes that are generated; each kind takes some of the options."""
+    """Options for generated scenes; each kind uses some of them."""
 
     count: int = option(6, "--count", "-n", metavar="N", min=1, max=10_000, help="Number of scenes.")
     kind: list[str] | None = option(
@@ -348,7 +348,7 @@ class SampleOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class BoardOptions:
-    """The board, as it is printed."""
+    """The printed board."""
 
     board: Annotated[str, Option(metavar="BOARD", help="COLUMNSxROWS: inner corners; charuco:COLUMNSxROWS: squares.")]
     square: Annotated[str, Option(metavar="LENGTH", help="Edge of a square, with its unit (mm, cm, m).")]
@@ -358,7 +358,7 @@ class BoardOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class RectifyOptions(CalibrationOptions):
-    """By what pairs are rectified."""
+    """Options for rectification."""
 
     uncalibrated: bool = option(
         False, "--uncalibrated", help="Rectify by matched key points alone; depths stay unknown."
@@ -367,7 +367,7 @@ class RectifyOptions(CalibrationOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class MapOptions(CalibrationOptions):
-    """The maps of a run, or a single one, and their calibration."""
+    """The maps of a run, or a single map, with their calibration."""
 
     run: Annotated[Path, Argument(metavar="RUN", help="Run folder of stereo or fuse, or one disparity map.")]
     input: InputOption = None
@@ -383,7 +383,7 @@ class MapOptions(CalibrationOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class CloudOptions:
-    """Which pixels get a depth, and which are points of a cloud."""
+    """Selection of the pixels that get a depth and of the points of clouds."""
 
     mask: str | None = option(
         None,

@@ -1,4 +1,4 @@
-"""A run from the command line to its exit code: config, scenes, computing, evaluation, tables."""
+"""Carry out a run from the command line to its exit code: config, scenes, computation, evaluation, tables."""
 
 from __future__ import annotations
 
@@ -55,10 +55,10 @@ def run_problem(
     adapted: Callable[[list[Any]], list[Any]] = list,
     **options: object,
 ) -> int:
-    """Solve the problem of a command for all scenes that the options name, and return the exit code.
+    """Solve a command's problem for all scenes that the options name, and return the exit code.
 
-    ``options`` are config key -> value of the option of that name; None: not given. ``adapted`` returns the scenes with
-    what other options say of them.
+    ``options`` are config key -> value of the option with that name, or None if it is not given. ``adapted`` applies
+    further options to the scenes.
     """
     return run_job(*prepared(command, config, source, run, settings, adapted, **options), run, source)
 
@@ -72,7 +72,7 @@ def prepared(
     adapted: Callable[[list[Any]], list[Any]] = list,
     **options: object,
 ) -> tuple[SceneJob[Any], Sequence[Any]]:
-    """Return the problem of a command with its config, and the scenes that it is solved for, as for ``run_problem``."""
+    """Return a command's problem with its config, and its scenes; parameters are as for ``run_problem``."""
     problem = problems.load(command)
     if isinstance(source, RangeOptions):
         options |= {"max_disparity": source.max_disparity, "min_disparity": source.min_disparity}
@@ -87,10 +87,10 @@ def prepared(
 
 
 def find_scenes(layouts: Layouts[SceneT], source: SceneOptions, run: RunOptions) -> list[SceneT]:
-    """Return the scenes that ``--input``, or the options for the files of a single scene, name.
+    """Return the scenes that ``--input`` or the options for a single scene name.
 
-    ``layouts`` belong to the command's kind of scene: ``PAIRS``, ``FRAMES`` or ``VOLUMES``. Errors are those of
-    :func:`depthcli.io.scenes.find.find_scenes`.
+    ``layouts`` are the layouts of the command's kind of scene: ``PAIRS``, ``FRAMES`` or ``VOLUMES``. Raise the errors
+    of :func:`depthcli.io.scenes.find.find_scenes`.
     """
     patterns = source.scenes or ["*"]
     with_truth = bool(run.evaluate)
@@ -106,7 +106,7 @@ def run_maps(
     witnesses: Sequence[str] = (),
     right_maps: str | None = None,
 ) -> int:
-    """Solve the problem for all pairs that the options name, with their maps, and return the exit code."""
+    """Solve the problem for the pairs that the options name, with their maps, and return the exit code."""
     scenes, place = find_scenes(job.rows, pairs, run), pairs.input and local(pairs.input)
     coded = coding.pattern, coding.scale, coding.invalid
     return run_job(job, with_maps(scenes, place, coded, run.reporter, maps, witnesses, right_maps), run, pairs)
@@ -118,11 +118,11 @@ def run_job(
     options: RunOptions,
     source: SceneOptions | None = None,
 ) -> int:
-    """Compute scenes into the run folder, evaluate where requested, print table or JSON, and return the exit code.
+    """Compute scenes into the run folder, evaluate if requested, print table or JSON, and return the exit code.
 
     Parameters
     ----------
-    source : the options that the scenes were found by, whose folder may have ground truth
+    source : the options that name the scenes; their folder may have ground truth
     """
     reporter, how = options.reporter, options.execution
     check_keep(job, how.keep)
@@ -176,7 +176,7 @@ def run_job(
 def _print_results(
     job: SceneJob[Any], rows: Sequence[Row], options: RunOptions, evaluation: EvaluationReport | None, flags: Flags
 ) -> None:
-    """Print the report as JSON, or the tables of the evaluation or of the run, and the flagged rows."""
+    """Print the report as JSON, or the tables of the evaluation or run with the flagged rows."""
     reporter = options.reporter
     evaluation = evaluation if evaluation is not None and evaluation.results else None
     if options.json:
@@ -194,7 +194,7 @@ def _print_results(
 
 
 def plan_of(job: SceneJob[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution) -> Row:
-    """Return what a run would do: its config, why it would reject the folder, and a row for every scene.
+    """Return the plan of a run: its config, the reason if it would reject the folder, and a row for every scene.
 
     A row has ``scene``, ``status`` (``DONE``, ``TO_DO`` or ``BROKEN``), ``memory`` (bytes or None) and ``problem``.
     """
@@ -219,7 +219,7 @@ def plan_of(job: SceneJob[SceneT], scenes: Sequence[SceneT], output: Path, how: 
 
 
 def _plan_text(plan: Row, config: BaseModel | Mapping[str, object]) -> str:
-    """Return a plan as the text that ``--dry-run`` prints: config, table of scenes, counts."""
+    """Return a plan as text for ``--dry-run``: config, table of scenes, counts."""
     rows = plan["scenes"]
     lines = [("scene", "status", "memory", "")]
     for row in rows:

@@ -38,7 +38,7 @@ def evaluated(
     """Compare scenes with their truth, and write the page of these and of the others; no results without truth."""
     reporter, conditions = options.reporter, options.conditions
     output, truth = options.output / EVALUATION, source.input if source is not None else None
-    in_folder = truth is not None and os.path.isdir(local(truth))  # pairs of a table have no truth
+    in_folder = truth is not None and os.path.isdir(local(truth))  # pairs of a table have no ground truth
     scored = [scene for scene in scenes if in_folder and scene.has_truth]
     others = [scene for scene in scenes if not (in_folder and scene.has_truth)]
     shown = _without_truth(job, others, rows, options.output) if options.html and others else None
@@ -65,7 +65,7 @@ def evaluated(
 def _without_truth(
     job: SceneJob[SceneT], scenes: Sequence[SceneT], rows: Sequence[Row], folder: Path
 ) -> RunWithoutTruth:
-    """Return the views of scenes without truth for the page; a sequence is shown frame by frame."""
+    """Return the page's views of scenes without ground truth; a sequence is shown frame by frame."""
     by_name, shown, row_of = {str(row["scene"]): row for row in rows}, list[Scene](), dict[str, Row]()
     for scene in scenes:
         row = by_name.get(scene.name, {})
@@ -87,9 +87,9 @@ def _without_truth(
 def viewers(
     reporter: Reporter, output: Path | None, html: bool, html_budget: str = "50MB", run: RunWithoutTruth | None = None
 ) -> list[Viewer]:
-    """Return what shows the maps of an evaluation: document, contact sheet, and the page that ``--html`` requests.
+    """Return the views of an evaluation: document, contact sheet, and the page if ``html``.
 
-    ConfigError if the page has no folder, or ``html_budget`` is no size.
+    Raise ConfigError if the page has no folder, or ``html_budget`` is no size.
     """
     shown: list[Viewer] = [Document(), ContactSheet()]
     if not html:
@@ -100,14 +100,14 @@ def viewers(
 
 
 def check_tables(options: TableOptions) -> None:
-    """Raise ConfigError where a format or the name of a table is none."""
+    """Raise ConfigError for unknown formats or tables."""
     if options.format is not None and options.format not in FORMATS:
         raise ConfigError(f"--format: must be one of {', '.join(FORMATS)} (got {options.format!r})")
     check_names(_listed(options.tables))
 
 
 def print_tables(report: EvaluationReport, reporter: Reporter, options: TableOptions, quiet: bool) -> None:
-    """Print the tables that the options choose, or else the headline."""
+    """Print the tables that the options select; by default, the headline."""
     names, columns, form = _listed(options.tables), _listed(options.columns), options.format
     if form is None and columns == [] and options.caption is None and names in ([], ["headline"]):
         text = "" if quiet else headline_text(report)
@@ -119,7 +119,7 @@ def print_tables(report: EvaluationReport, reporter: Reporter, options: TableOpt
 
 
 def print_place(report: EvaluationReport, output: Path, html: bool, reporter: Reporter) -> None:
-    """Print which file to open; ``html``: a page was requested."""
+    """Print the file to open; ``html`` means that a page was requested."""
     if html and PAGE_FILE not in report.unwritten:
         what = "report, with all tables and pictures" if report.results else "page to open in a browser"
         reporter.info(f"{what}: {output / PAGE_FILE}")

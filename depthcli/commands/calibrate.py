@@ -40,7 +40,7 @@ def calibrate(
     fisheye: Annotated[bool, Option("--fisheye", help="The lenses follow OpenCV's fisheye model.")] = False,
     overwrite: Annotated[bool, Option("--overwrite", help="Replace an earlier calibration.")] = False,
 ) -> int:
-    """Calibrate the cameras that took the photos; return the exit code, 3 where a photo could not be read."""
+    """Calibrate the cameras of the photos; return the exit code, 3 if a photo could not be read."""
     from depthcli.problems.boards import board_of, calibrate_cameras, print_summary, table_of
 
     reporter = printing.reporter

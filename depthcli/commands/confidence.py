@@ -50,7 +50,7 @@ def confidence(
         float | None, Option(metavar="P", min=0, max=1, help="Smallest probability of a pixel in disp_left.")
     ] = None,
 ) -> int:
-    """Judge the map of every scene; ``--share`` and ``--threshold`` leave doubtful pixels out of disp_left."""
+    """Judge the map of every scene; ``--share`` and ``--threshold`` remove unreliable pixels from disp_left."""
     from depthcli.commands._run import run_maps
     from depthcli.io.formats.plain_text import is_number
     from depthcli.problems.given_maps import Confidence, largest, measures_named

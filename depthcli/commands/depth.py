@@ -21,13 +21,13 @@ from depthcli.core.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class DepthRunOptions(RunOptions):
-    """The options of a run that has no ground truth, with a page."""
+    """The options of a run without ground truth, with a page."""
 
     html: HtmlOption = False
 
 
 def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
-    """Turn every map of the run into depth; return the exit code."""
+    """Compute the depth of every map of the run; return the exit code."""
     from depthcli.commands._run import run_job
     from depthcli.io.scenes.find import scenes_at
     from depthcli.io.scenes.pairs import PAIRS

@@ -49,7 +49,7 @@ def evaluate(
     pattern: Annotated[
         list[str] | None, Option(metavar="PATTERN", help="Path of a map, '{scene}/a.tiff'. Of one run: NAME=...")
     ] = None,
-    maps: Annotated[list[str] | None, Option(hidden=True)] = None,  # the old name of --pattern
+    maps: Annotated[list[str] | None, Option(hidden=True)] = None,  # old name of --pattern
     scale: Annotated[
         list[str] | None, Option(metavar="CODES", help="Codes per unit of integer files. Of one run: NAME=...")
     ] = None,

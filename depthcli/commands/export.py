@@ -28,7 +28,7 @@ from depthcli.io.formats.images import image_size
 from depthcli.run.records import read_report
 from depthcli.show.table import to_json
 
-_MAX_NAMED = 12  # scenes that one message names, which keeps it within a few lines
+_MAX_NAMED = 12  # scenes to name in one message, to keep it within a few lines
 
 
 def export(
@@ -46,7 +46,7 @@ def export(
     ] = None,
     overwrite: Annotated[bool, Option("--overwrite", help="Replace the archive.")] = False,
 ) -> int:
-    """Check all maps, write them, and return the exit code; ConfigError with all reasons, one per line."""
+    """Check all maps, write them, and return the exit code. Raise ConfigError with one line per problem."""
     reporter, bench = printing.reporter, benchmark(for_)
     if os.path.exists(output) and not overwrite:
         raise ConfigError(f"{output}: is there already; choose another --output, or --overwrite it")
@@ -86,7 +86,7 @@ def export(
 def _find_maps(
     run: Path, bench: Benchmark, splits: Sequence[str], seconds: float | None
 ) -> tuple[list[Entry], list[str]]:
-    """Return the maps of the benchmark's scenes, and all problems; a split that has one scene must be complete."""
+    """Return the maps of the benchmark's scenes, and all problems; a split with any map must be complete."""
     if not os.path.isdir(run):
         raise InputError(f"{run}: no such folder")
     rows, files = read_report(run), load(bench.protocol).files
@@ -122,7 +122,7 @@ def _find_maps(
 
 
 def _write_archive(target: Path, maps: Iterable[dict[str, bytes]]) -> list[str]:
-    """Write the files of all maps without times or owners, so that the same maps give the same bytes."""
+    """Write the files of all maps without times or owners, so that equal maps give equal bytes."""
     names: list[str] = []
     with atomic_path(target) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
         for files in maps:

@@ -74,7 +74,7 @@ def presets(
 
 
 def _shown(name: str) -> str:
-    """Return a preset as YAML with every field and its description; ``name`` may be ``command/name``."""
+    """Return a preset as YAML, with descriptions of all fields; ``name`` may be ``command/name``."""
     found = [p for p in all_presets() if p.is_called(name.removeprefix(f"{p.command}/"))]
     if not found:
         raise ConfigError(f"no preset called {name!r}; see: depthcli presets")
@@ -104,7 +104,7 @@ def _described(config: BaseModel, title: Sequence[str]) -> str:
 
 
 def _method_lines(method: object) -> list[str]:
-    """Return the line that names a method, under the first paragraph of its docstring; nothing for other values."""
+    """Return a method's line below the first paragraph of its docstring, or an empty list for other values."""
     if not isinstance(method, Method):
         return []
     key, name = next(iter(method.model_dump(mode="json").items()))
@@ -112,9 +112,9 @@ def _method_lines(method: object) -> list[str]:
 
 
 def _field_lines(model: BaseModel, flat: str = "", gap: Sequence[str] = ()) -> list[str]:
-    """Return the fields of a model but ``flat``, each under its description, with ``gap`` before it."""
+    """Return the fields of a model except ``flat``, each below its description, with ``gap`` before it."""
     lines: list[str] = []
-    # What every config has comes first in the model and last in the text.
+    # ``plugins``, a field of every config, comes last.
     for name, info in sorted(type(model).model_fields.items(), key=lambda field: field[0] == "plugins"):
         if name == flat or info.exclude:
             continue
@@ -129,7 +129,7 @@ def _field_lines(model: BaseModel, flat: str = "", gap: Sequence[str] = ()) -> l
                 inside = [str(element)]
                 if isinstance(element, BaseModel):
                     inside = _method_lines(element) + _field_lines(element)
-                # Comments come before the dash, so that the element starts with its first key.
+                # Put comments before the dash, so that the element starts with its first key.
                 first = next(k for k, line in enumerate(inside) if not line.startswith("#"))
                 lines += [*inside[:first], f"- {inside[first]}", *(f"  {line}" for line in inside[first + 1 :])]
         else:

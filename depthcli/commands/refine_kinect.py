@@ -35,7 +35,7 @@ def refine_kinect(
         str | None, Option(metavar="NUMS", help="Of the depth camera, if not registered.")
     ] = None,
 ) -> int:
-    """Refine single frames, or sequences where the method carries state from frame to frame."""
+    """Refine single frames, or sequences if the method carries state from frame to frame."""
     from depthcli.commands._run import run_problem
     from depthcli.io.scenes import Folder
     from depthcli.io.scenes.frames import cameras
@@ -43,7 +43,7 @@ def refine_kinect(
     camera = None if depth_intrinsics is None else camera_of("--depth-intrinsics", depth_intrinsics)
 
     def with_cameras(scenes: list[RgbdScene]) -> list[RgbdScene]:
-        if frames.color is not None:  # a meta.json in the folder of the files may describe the cameras
+        if frames.color is not None:  # meta.json next to the files may describe the cameras
             scenes = [replace(s, **cameras(Folder(s.folder, s.name, "", "").meta)) for s in scenes]
         return scenes if camera is None else [s if s.raw else replace(s, depth_intrinsics=camera) for s in scenes]
 

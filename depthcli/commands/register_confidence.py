@@ -18,7 +18,7 @@ from depthcli.commands._options import ConfigArgument, SceneOptions, ScoredRunOp
 
 @dataclass(frozen=True, kw_only=True)
 class VolumeOptions(SceneOptions):
-    """Pairs of volumes: a folder of them, or the files of one."""
+    """Pairs of volumes: a folder of pairs, or the files of one pair."""
 
     single_files: ClassVar[str] = "--fixed FILE and --warped FILE"
 
@@ -52,7 +52,7 @@ def register_confidence(
         bool, Option("--neurological", help="Show the patient's right on the right in pictures.")
     ] = False,
 ) -> int:
-    """Estimate the error of every registration, by a search around every voxel."""
+    """Estimate the error of every registration with a search around every voxel."""
     from depthcli.commands._run import run_problem
 
     options: dict[str, Any] = {

@@ -27,7 +27,7 @@ from depthcli.show.table import aligned
 
 
 def _listed(name: str | None) -> str | None:
-    """Print the devices, with their measured bandwidth, and why there is none of a kind, for ``--device list``."""
+    """Print the devices with their measured bandwidth, and reasons for missing kinds, for ``--device list``."""
     if name != "list":
         return name
     from depthcli.device import DeviceError, devices, open_device, why_no_device
@@ -67,7 +67,7 @@ def stereo(
         ),
     ] = None,
 ) -> int:
-    """Match every pair by a pipeline of ``methods/stereo/pipeline``, here or on a device."""
+    """Match every pair with the configured pipeline, on the CPU or a device."""
     from depthcli.commands._run import run_problem
 
     promise = {"level": level, "within": within} if bound else None

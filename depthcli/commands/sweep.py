@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from depthcli.evaluation.sweeps import Axes, Combination
     from depthcli.problems.problem import SceneJob
 
-_RUNS = "runs"  # the folder with one run folder per combination
+_RUNS = "runs"  # folder with one run folder per combination
 _TABLES = ("sweep.json", "sweep.csv")
 
 
@@ -60,7 +60,7 @@ def sweep(
         str, Option(metavar="SIZE", help="Size of its pictures beyond which they are scaled down.")
     ] = "50MB",
 ) -> int:
-    """Run every combination, evaluate all runs, and print the runs by their figure and the effect of every key."""
+    """Run every combination, evaluate all runs, and print the ranked runs and the effect of every key."""
     from depthcli.commands._run import run_job
     from depthcli.commands._scores import print_place, viewers
     from depthcli.evaluation.evaluate import Choices, evaluate_runs
@@ -116,7 +116,7 @@ def sweep(
 
 
 def _with_keys(command: str, config: str, axes: Axes) -> dict[str, Sequence[str]]:
-    """Return the axes with keys in place of the symbols that a config gives them."""
+    """Return the axes with symbols replaced by the config's keys."""
     from depthcli.core.config_file import find_config, symbols_of
 
     if command not in PROBLEMS:
@@ -136,7 +136,7 @@ def _runs_of(
     source: SceneOptions,
     options: RunOptions,
 ) -> tuple[dict[str, _Run], str]:
-    """Return name -> run, and the name of the run that has the config's own values; empty where none has."""
+    """Return name -> run, and the name of the run with the config's own values, or an empty text."""
     from depthcli.commands._run import prepared
     from depthcli.evaluation.sweeps import OWN_VALUES, folder_names, value_text
 
@@ -151,7 +151,7 @@ def _runs_of(
     runs = {name: run_of(name, values) for name, values in zip(names, chosen, strict=True)}
     try:
         plain = run_of(OWN_VALUES, ())
-    except ConfigError:  # a config that needs the values of --over has none of its own
+    except ConfigError:  # the config is incomplete without the values of --over
         return runs, ""
     if alike := [name for name, run in runs.items() if run.job.config == plain.job.config]:
         return runs, alike[0]
@@ -161,7 +161,7 @@ def _runs_of(
 
 
 def _show_plan(command: str, runs: Mapping[str, _Run], options: RunOptions) -> None:
-    """Print what would be computed."""
+    """Print the planned runs."""
     from depthcli.commands._run import DONE, plan_of
 
     rows = []

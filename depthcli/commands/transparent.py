@@ -32,7 +32,7 @@ def transparent(
         Path | None, Option(metavar="FILE", help="Mask of the transparent objects, for presets such as sensor.")
     ] = None,
 ) -> int:
-    """Complete every frame from its sparse depth, given or matched between color and infrared, or from a mask."""
+    """Complete every frame from sparse depth, from stereo of color and infrared, or from a mask."""
     from depthcli.commands._run import prepared, run_job
     from depthcli.io.rgbd_frames import TRANSPARENT
     from depthcli.io.scenes.places import local

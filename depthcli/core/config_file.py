@@ -28,15 +28,15 @@ _Config = TypeVar("_Config", bound=RootConfig)
 _METHOD_KEYS = ("method", "pipeline")
 
 THESIS = "thesis/"
-"""Prefix of presets with the methods of the thesis, and nothing else."""
+"""Prefix of presets that contain only methods of the thesis."""
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 PRESET_FOLDER = (_PACKAGE if (_PACKAGE / "configs").is_dir() else _PACKAGE.parent) / "configs"
-"""Inside the installed package, or next to it in a checkout."""
+"""Folder inside the installed package, or next to the package in a checkout."""
 
 
 class Preset(NamedTuple):
-    """A file with a config of ``command``."""
+    """A file with a config for ``command``."""
 
     command: str
     name: str
@@ -49,9 +49,9 @@ class Preset(NamedTuple):
 
 
 def presets() -> list[Preset]:
-    """Return our presets, those of the thesis after the others, then those of plug-ins.
+    """Return the package's presets, thesis presets last, followed by the plug-ins' presets.
 
-    A preset of a plug-in whose name is taken is called by its file.
+    If the name of a plug-in's preset is taken, its name is the path of its file.
     """
     found: list[Preset] = []
     folders = {PRESET_FOLDER: ""}
@@ -69,7 +69,7 @@ def presets() -> list[Preset]:
 
 
 def list_presets(command: str | None = None) -> list[tuple[str, str, str]]:
-    """Return command, name and first comment line of every preset, with the plug-in that adds it before the comment."""
+    """Return command, name and first comment line of every preset; plug-ins are named before the comment."""
     rows = []
     for preset in presets():
         if command in (None, preset.command):
@@ -79,7 +79,7 @@ def list_presets(command: str | None = None) -> list[tuple[str, str, str]]:
 
 
 def find_preset(command: str, name: str) -> Path | None:
-    """Return the file of a preset, None if there is none of that name, which may be ``COMMAND/NAME``."""
+    """Return the file of a preset, or None if there is no such preset; ``name`` may be ``COMMAND/NAME``."""
     name = name.removeprefix(f"{command}/")
     for preset in presets():
         if preset.command == command and preset.is_called(name):
@@ -88,7 +88,7 @@ def find_preset(command: str, name: str) -> Path | None:
 
 
 def find_config(command: str, config: str) -> Path:
-    """Return the file that a CONFIG argument names: a path, or a preset of ``command``; ConfigError for neither."""
+    """Return the file of a CONFIG argument, a path or a preset of ``command``. Raise ConfigError if it is neither."""
     path = Path(config)
     shipped = find_preset(command, config) if not path.suffix else None
     if shipped is not None:
@@ -146,20 +146,20 @@ def symbols_of(source: Path, command: str) -> dict[str, str]:
 def config_with_options(
     model: type[_Config], config: str, settings: Sequence[str | tuple[str, str]] | None, options: Mapping[str, object]
 ) -> _Config:
-    """Return the config of a command with all overrides; ConfigError names all that is wrong.
+    """Return a command's config with all overrides. Raise ConfigError with all problems.
 
     Parameters
     ----------
     model : class of the command's configs
-    config, settings : the CONFIG argument, and the values of ``--set``
-    options : config key -> value of the option of that name; None: not given
+    config, settings : the CONFIG argument and the values of ``--set``
+    options : config key -> value of the option with that name, or None if it is not given
     """
     given: list[str | tuple[str, str]] = list(settings or [])
     for key, value in options.items():
         if value is not None:
             given.append((f"--{key.rpartition('.')[2].replace('_', '-')}", f"{key}={value}"))
     checked = load_config(model, find_config(model.command, config), given)
-    used_files(checked)  # missing ones are an error before any scene is opened
+    used_files(checked)  # raises for missing files before any scene is opened
     return checked
 
 

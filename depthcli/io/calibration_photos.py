@@ -1,4 +1,4 @@
-"""Photos of a calibration board: which camera took them, and which of two cameras belong together."""
+"""Find photos of a calibration board: tell the cameras apart and match the photos of two cameras."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from depthcli.io.formats.files import shown
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 
 SIDES = re.compile(r"(?<![a-z])(?:(left|l)|(right|r))(?![a-z])", re.IGNORECASE)
-"""Words of a name that name the view."""
+"""Words in a file name that name the view."""
 
 # "cam0" and "cam1" name the camera only if both are there.
 _WORDS = (
     SIDES,
     re.compile(r"(?<![a-z])(?:cam(?:era)?|image|img)[-_]?0?(?:(0)|(1))(?![0-9a-z])", re.IGNORECASE),
 )
-_MAX_DEPTH = 2  # folders below the given one
+_MAX_DEPTH = 2  # folder levels to search
 
 
 class Photos(NamedTuple):
-    """The photos of one position of the board, named by what their names have in common."""
+    """The photos of one position of the board."""
 
-    name: str
-    left: Path | None  # None where it has no partner
-    right: Path | None  # None for a single camera, too
+    name: str  # the common part of their names
+    left: Path | None  # None if the photo is missing
+    right: Path | None  # None if the photo is missing or there is only one camera
 
 
 def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:
-    """Return the photos of one or two cameras, sorted by name, and files whose name does not tell the camera.
+    """Return the photos of one or two cameras, sorted by name, and the files whose names give no camera.
 
-    Of two folders the first is the left camera's. In one folder, names of files or of folders in it say which camera's
-    a photo is (left, right, l, r, cam0, cam1). Photos belong together whose names are the same without that word.
-    Where none has such a word, all are of one camera.
+    The first of two folders is the left camera's. In a single folder, the names of files or subfolders give the camera
+    (left, right, l, r, cam0, cam1). Photos match if their names are equal without that word. If no name has such a
+    word, all photos are from one camera.
     """
     found = [_images(folder) for folder in folders]
     place = " and ".join(map(shown, folders))
@@ -56,7 +56,7 @@ def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:
             for side in (1, 2)
         )
         without = [files[name] for name, match in matches.items() if match is None]
-        # Of img0, img1, img2 and so on, the numbers count photos.
+        # The numbers in img0, img1, img2 ... count photos, not cameras.
         are_photo_numbers = word is _WORDS[1] and 2 * len(without) > len(files)
         if left and right and not are_photo_numbers:
             return _paired(left, right, place), without
@@ -64,7 +64,7 @@ def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:
 
 
 def _keyed(files: Iterable[tuple[str, Path]], word: re.Pattern[str] | None, place: str) -> dict[str, Path]:
-    """Return name without what ``word`` matches -> file."""
+    """Return name without the match of ``word`` -> file."""
     keyed: dict[str, Path] = {}
     for name, file in files:
         key = without_word(os.path.splitext(name)[0], word) or "photo"
@@ -81,7 +81,7 @@ def _paired(left: dict[str, Path], right: dict[str, Path], place: str) -> list[P
 
 
 def _images(folder: Path) -> dict[str, Path]:
-    """Return name below the folder -> image, sorted; hidden files and folders are passed over."""
+    """Return relative path -> image, sorted, without hidden files and folders."""
     if not os.path.isdir(folder):
         raise InputError(f"{shown(folder)}: no such folder")
     found: dict[str, Path] = {}
@@ -97,7 +97,7 @@ def _images(folder: Path) -> dict[str, Path]:
 
 
 def without_word(name: str, word: re.Pattern[str] | None) -> str:
-    """Return a name or path without what ``word`` matches, and without what parted it from the rest."""
+    """Return a name or path without the matches of ``word`` and their separators."""
     parts = (word.sub("", name) if word else name).split("/")
     plain = (re.sub(r"[-_. ]{2,}", "_", part).strip("-_. ") for part in parts)
     return "/".join(part for part in plain if part)

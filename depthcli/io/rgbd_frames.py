@@ -1,4 +1,4 @@
-"""Frames of color and depth and their ground truth, loaded from the files of a scene."""
+"""Load RGB-D frames and their ground truth from the files of a scene."""
 
 from __future__ import annotations
 
@@ -34,26 +34,26 @@ _FIELDS |= {"depth_kc": (5,), "color_kc": (5,), "depth_to_color_t": (3,), "dc": 
 
 @dataclass(frozen=True)
 class RgbdTruth:
-    """True depth of one frame."""
+    """Ground truth of a frame."""
 
     depth: NDArray[np.float32]  # (H, W) float32, meters, NaN = unknown
     masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)  # name -> (H, W) bool, True = evaluate
-    fb: float | None = None  # focal length x baseline, pixel meters, or None where errors in pixels mean nothing
+    fb: float | None = None  # focal length x baseline, pixel meters; None: errors in pixels have no meaning
 
 
 def frame_size(scene: RgbdScene) -> tuple[int, int]:
-    """Return (height, width) of the frame by an image's header alone; InputError where it cannot be read."""
+    """Return (height, width) of the frame from an image's header. Raise InputError if it cannot be read."""
     return image_size(scene.image)
 
 
 def check_center(where: object, camera: Intrinsics | None, shape: tuple[int, ...]) -> None:
-    """Warn if a camera is probably that of images of another size than ``shape``."""
+    """Warn if a camera's center suggests images of another size than ``shape``."""
     if camera is not None and (doubt := off_center(camera, (shape[1], shape[0]))):
         warn(f"{where}: {doubt}")
 
 
 def load_frame(scene: RgbdScene) -> RgbdFrame:
-    """Return color and depth of one size, depth in meters and registered to the color, or depth alone."""
+    """Return color with depth in meters, registered to the color and of its size, or only depth without color."""
     scene.check()
     color_camera, depth_camera = (
         None if each is None else Intrinsics(*each) for each in (scene.intrinsics, scene.depth_intrinsics)
@@ -82,7 +82,7 @@ def load_frame(scene: RgbdScene) -> RgbdFrame:
 
 
 def load_masked_frame(scene: RgbdScene) -> SparseFrame:
-    """Return the frame with the mask of its transparent objects, and without any sparse depth."""
+    """Return the frame with the mask of its transparent objects and an empty sparse depth map."""
     frame = _color_frame(scene)
     if (file := scene.masks.get(TRANSPARENT)) is None:
         raise InputError(
@@ -145,7 +145,7 @@ def load_infrared_frame(scene: RgbIrScene) -> RgbIrFrame:
 
 
 def true_depth(scene: RgbdScene) -> RgbdTruth:
-    """Return true depth and masks; InputError without any, or if sizes differ."""
+    """Return ground truth depth and masks. Raise InputError if there is none or sizes differ."""
     scene.check()
     if scene.depth_true is None:
         raise InputError(f"{scene.folder}: {scene.name} has no true depth")
@@ -163,13 +163,13 @@ def true_depth(scene: RgbdScene) -> RgbdTruth:
 
 
 def _read_depth(scene: RgbdScene, path: Path, invalid: float | None = None) -> NDArray[np.float32]:
-    # Beside codes of the sensor, floats of another map are meters.
+    # If the sensor's map has integer codes, the scale is theirs, and a floating-point map is in meters.
     floats = scene.scale_floats and (path == scene.depth or read_plane(scene.depth).dtype.kind == "f")
     return read_depth(path, scene.depth_scale, 3 if scene.rotated else 0, invalid, floats)
 
 
 def _visible_depth(scene: RgbdScene) -> NDArray[np.float32]:
-    """Return the depth without the pixels that the sensor is made not to see."""
+    """Return the depth without the pixels of ``scene.hidden``."""
     depth = _read_depth(scene, scene.depth)
     if scene.hidden is None:
         return depth
@@ -183,14 +183,14 @@ def _pose(scene: RgbdScene) -> NDArray[np.float64] | None:
 
 
 def _registered_raw(scene: RgbdScene, color: NDArray[np.uint8]) -> RgbdFrame:
-    """Return color at the depth camera's resolution, and the depth of raw codes registered to it."""
+    """Return color, reduced to about the depth camera's resolution, with raw depth registered to it."""
     raw = read_kinect_raw(scene.depth)
     calibration = kinect_v1() if scene.calibration is None else read_kinect_calibration(scene.calibration)
     if calibration.beta is not None and calibration.beta.shape != raw.shape:
         raise InputError(f"{scene.calibration}: its distortion map is not of the depth image's size")
     for name, one, image in (("color", calibration.color, color), ("depth", calibration.depth, raw)):
         check_center(f"{scene.calibration or 'calibration'}: {name}", one.intrinsics, image.shape)
-    # Where the color image is finer than the depth, most of its pixels would meet no point.
+    # Most pixels of a color image with a higher resolution would get no depth.
     ratio = calibration.color.matrix[0, 0] / calibration.depth.matrix[0, 0]
     factor = 1.0 if ratio < 1.5 else 1.0 / round(ratio)
     if factor != 1:
@@ -202,9 +202,9 @@ def _registered_raw(scene: RgbdScene, color: NDArray[np.uint8]) -> RgbdFrame:
 
 
 def read_kinect_raw(path: Path | str) -> NDArray[np.uint16]:
-    """Return (H, W) uint16 raw codes 0..2047, in either order of bytes."""
+    """Return (H, W) uint16 raw codes 0 to 2047, from files of either byte order."""
     raw = codes_of(read_plane(path), path)
-    if raw.max() > UNKNOWN_CODE:  # the bytes are the wrong way round
+    if raw.max() > UNKNOWN_CODE:  # wrong byte order
         raw = raw.byteswap()
     if raw.max() > UNKNOWN_CODE:
         raise InputError(f"{shown(path)}: codes up to {int(raw.max())}, a Kinect's go to {UNKNOWN_CODE}")
@@ -212,7 +212,7 @@ def read_kinect_raw(path: Path | str) -> NDArray[np.uint16]:
 
 
 def read_kinect_calibration(path: Path) -> KinectCalibration:
-    """Return the calibration of Herrera et al.'s toolbox as JSON, and its distortion map ``dc_beta.npy``."""
+    """Return a calibration of Herrera et al.'s toolbox from JSON, with the distortion map ``dc_beta.npy`` if any."""
     with naming(path):
         fields = json_object(read_bytes(path))
         arrays = {key: numbers(fields.get(key), key, shape) for key, shape in _FIELDS.items()}

@@ -1,4 +1,4 @@
-"""Rectified pairs and their ground truth, loaded from the files of a scene."""
+"""Load rectified pairs and their ground truth from the files of a scene."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from depthcli.io.formats.videos import read_frame
 from depthcli.io.scenes import StereoScene, check_same_size
 from depthcli.io.scenes.kinds import FRAMES, LEFT_RIGHT, TOP_BOTTOM
 
-# Full-size widths of the Middlebury 2005 and 2006 sets are between 1240 and 1396: the width tells the size.
+# Full-size images of Middlebury 2005 and 2006 are 1240 to 1396 px wide, so that the width gives the scale.
 _SCALE_BY_WIDTH = ((900, 1.0), (550, 2.0), (0, 3.0))
 
 
 @dataclass(frozen=True)
 class StereoTruth:
-    """Ground truth of one pair, as stored; the protocol derives regions and occlusions from it."""
+    """Ground truth of a pair as stored; the protocol derives regions and occlusions from it."""
 
     disparity: NDArray[np.float32]  # (H, W) float32, pixels, NaN = unknown
     right: NDArray[np.float32] | None = None  # the same for the right view
-    noc: NDArray[np.float32] | None = None  # the same for the visible pixels alone (KITTI)
+    noc: NDArray[np.float32] | None = None  # the same for visible pixels only (KITTI)
     objects: NDArray[np.bool_] | None = None  # (H, W) bool, foreground objects (KITTI 2015)
     masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)  # name -> (H, W) bool, True = evaluate
-    scale: float | None = None  # codes per pixel that the files were read with; None = by their kind
+    scale: float | None = None  # codes per pixel used to read the files; None: by their format
 
 
 def load_views(scene: StereoScene) -> tuple[Image, Image]:
-    """Return both images as they are, which need not agree; InputError where one cannot be read."""
+    """Return both images as stored; their sizes and dtypes may differ. Raise InputError if one cannot be read."""
     left, right = _both(scene)
     if scene.halves == FRAMES:
         return read_two_frames(left)
@@ -53,7 +53,7 @@ def load_views(scene: StereoScene) -> tuple[Image, Image]:
 
 
 def load_pair(scene: StereoScene) -> StereoPair:
-    """Return left and right image of one size and dtype, both grey where one is; InputError otherwise."""
+    """Return left and right image, both grey if one is. Raise InputError if their sizes or dtypes differ."""
     files = _both(scene)
     if scene.frame_number is None and not scene.halves:
         return read_pair(*files)
@@ -74,7 +74,7 @@ def _both(scene: StereoScene) -> tuple[Path, Path]:
 
 
 def true_disparity(scene: StereoScene) -> StereoTruth:
-    """Return ground truth and masks of the left view, as stored; InputError without any."""
+    """Return ground truth and masks of the left view as stored. Raise InputError if there is none."""
     scene.check()
     if (file := scene.disparity_left) is None:
         raise InputError(f"{scene.left.parent}: scene {scene.name} has no ground truth")

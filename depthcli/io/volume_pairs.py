@@ -1,4 +1,4 @@
-"""Registered pairs of volumes and their true errors, loaded from the files of a scene."""
+"""Load registered pairs of volumes and their true errors from the files of a scene."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ from depthcli.io.formats.files import naming, warn
 from depthcli.io.formats.volumes import is_raw, itk_image, read_grid, read_volume, simple_itk
 from depthcli.io.scenes import VolumePairScene
 
-_LABEL_TOLERANCE = 1e-3  # of a whole number: what rounding leaves of a label
-_MAX_LABELS = 2000  # more are the gray values of a scan; atlases have some hundreds
-_MAX_PAIRING = 0.7  # distance of landmarks over that of random pairs of them; 0.05 to 0.4 of pairs that were registered
+_LABEL_TOLERANCE = 1e-3  # largest rounding error of a label
+_MAX_LABELS = 2000  # more distinct values are gray values of a scan; atlases have some hundred labels
+# Largest mean distance of landmark pairs, divided by the mean distance of random pairs; registered pairs have 0.05 to
+# 0.4.
+_MAX_PAIRING = 0.7
 _MAX_LABEL = 1 << 24  # whole numbers up to here are exact in float32
 
 
@@ -30,10 +32,10 @@ class LoadedPair:
 
     pair: RegisteredPair
     grid: Grid  # the fixed volume's
-    blocks: tuple[int, int, int] = (1, 1, 1)  # how many of its voxels (z, y, x) a voxel of ``pair`` is the mean of
+    blocks: tuple[int, int, int] = (1, 1, 1)  # size (z, y, x) of the block whose mean is a voxel of ``pair``
 
     def on_grid(self, start: Sequence[float], step: Sequence[float]) -> tuple[list[float], list[float]]:
-        """Return ``start`` and ``step`` of maps in voxels of ``pair`` as those in voxels of the fixed volume."""
+        """Convert ``start`` and ``step`` of maps from voxels of ``pair`` to voxels of the fixed volume."""
         begin = [(n - 1) / 2 + n * a for n, a in zip(self.blocks, start, strict=True)]
         return begin, [n * a for n, a in zip(self.blocks, step, strict=True)]
 
@@ -43,15 +45,15 @@ class RegistrationTruth:
     """True errors of a registration."""
 
     grid: Grid  # the fixed volume's
-    points: NDArray[np.float64]  # (N, 3) landmarks of the fixed volume, x, y, z in mm; empty where the truth is dense
+    points: NDArray[np.float64]  # (N, 3) landmarks of the fixed volume, x, y, z in mm; empty for dense errors
     error: NDArray[np.float32]  # (N,) mm at the landmarks, or (Z, Y, X) mm, NaN = unknown
 
 
 def load_volumes(scene: VolumePairScene, convention: str = "auto", max_voxels: int | None = None) -> LoadedPair:
-    """Return both volumes on the fixed grid, and the mask; ``convention`` belongs to the displacement file.
+    """Return both volumes on the fixed grid, and the mask; ``convention`` is the displacement file's.
 
-    Of more than ``max_voxels`` voxels, means of blocks, so that two whole volumes are never in memory; blocks are
-    no larger than the cubes that so many voxels of the volume would be.
+    Volumes of more than ``max_voxels`` voxels are reduced to block means, so that two whole volumes are never in
+    memory. Blocks are no larger than the cubes that would divide the volume into ``max_voxels`` parts.
     """
     scene.check()
     fixed = read_volume(scene.fixed)
@@ -79,7 +81,7 @@ def load_volumes(scene: VolumePairScene, convention: str = "auto", max_voxels: i
 def loaded_size(
     scene: VolumePairScene, max_voxels: int | None = None
 ) -> tuple[Grid, tuple[int, int, int], tuple[float, float, float]]:
-    """Return the fixed volume's grid, and shape and spacing (z, y, x) of the loaded volume, by its header."""
+    """Return the fixed volume's grid, and shape and spacing (z, y, x) of the loaded volume, from its header."""
     scene.check()
     grid = read_grid(scene.fixed)
     blocks = blocks_of(grid, max_voxels)
@@ -88,7 +90,7 @@ def loaded_size(
 
 
 def region_masks(scene: VolumePairScene, name: str, grid: Grid) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """Yield name and mask (Z, Y, X) bool of the regions of one of ``scene.regions``, as :func:`label_masks` does."""
+    """Yield name and mask (Z, Y, X) bool of each region in a file of ``scene.regions``; see :func:`label_masks`."""
     file = dict(scene.regions)[name]
     values = _read_like(file, grid)
     with naming(file):
@@ -96,7 +98,7 @@ def region_masks(scene: VolumePairScene, name: str, grid: Grid) -> Iterator[tupl
 
 
 def true_errors(scene: VolumePairScene, convention: str = "auto") -> RegistrationTruth:
-    """Return the true errors: dense where there is such a file, or at the landmarks |T(p) - q|."""
+    """Return the true errors: dense if there is such a file, otherwise |T(p) - q| at the landmarks."""
     scene.check()
     if not scene.has_truth:
         raise InputError(
@@ -130,9 +132,9 @@ def true_errors(scene: VolumePairScene, convention: str = "auto") -> Registratio
 def _unpaired(
     points: NDArray[np.float64], matches: NDArray[np.float64], moved: NDArray[np.float64], back: NDArray[np.float64]
 ) -> str:
-    """Return why landmarks (N, 3), mm, and their ``matches`` seem to be no pairs, in a line, or empty.
+    """Return a line if landmarks (N, 3), mm, and their ``matches`` seem not to correspond, or an empty text.
 
-    ``moved`` and ``back`` are both through the transform, which leads from ``points`` to ``matches``.
+    ``moved`` and ``back`` are ``points`` and ``matches``, each mapped by the transform.
     """
     error, before, exchanged = (
         float(np.linalg.norm(one - other, axis=1).mean())
@@ -165,7 +167,7 @@ def landmarks(scene: VolumePairScene, grid: Grid) -> NDArray[np.float64] | None:
 
 
 def _outside(points: NDArray[np.float64], grid: Grid, name: str) -> str:
-    """Return how many landmarks (N, 3), mm, LPS, are outside the volume ``name``, in a line; empty if none is."""
+    """Return a line about the landmarks (N, 3), mm, LPS, outside the volume ``name``, or an empty text."""
     outside, turned, counted = (
         ~np.all((places >= -0.5) & (places <= np.array(grid.shape) - 0.5), axis=1)
         for places in (grid.to_index(points), grid.to_index(points * [-1, -1, 1]), points[:, ::-1])
@@ -180,7 +182,7 @@ def _outside(points: NDArray[np.float64], grid: Grid, name: str) -> str:
 
 
 def _read_like(file: Path, fixed: Grid) -> NDArray[np.float32]:
-    """Return the values of a volume on the fixed grid."""
+    """Return the values of a volume. Raise InputError if it is not on the fixed grid."""
     volume = read_volume(file)
     if not volume.grid.same_as(fixed):
         raise InputError(f"{file}: another grid than the fixed volume's ({volume.grid.describe_difference(fixed)})")
@@ -188,7 +190,7 @@ def _read_like(file: Path, fixed: Grid) -> NDArray[np.float32]:
 
 
 def _read_mask(file: Path, fixed: Grid) -> NDArray[np.bool_]:
-    """Return where a mask is above 0, with a warning if its values look like a scan."""
+    """Return whether each voxel of a mask is above 0; warn if the values look like a scan."""
     values = _read_like(file, fixed)
     low, high = float(values.min()), float(values.max())
     if low < 0 or (high > 1 and not np.array_equal(values, np.rint(values))):
@@ -197,7 +199,7 @@ def _read_mask(file: Path, fixed: Grid) -> NDArray[np.bool_]:
 
 
 def _warped(scene: VolumePairScene, file: Path, fixed: Volume, convention: str) -> tuple[NDArray[np.float32], Path]:
-    """Return the moving volume on the fixed grid, and the file to blame for values that are no numbers."""
+    """Return the moving volume on the fixed grid, and the file that causes values that are not finite."""
     sitk, moving, grid = simple_itk(), read_volume(file), fixed.grid
     transform = read_moving_transform(scene.transform, scene.displacement, convention, fixed, moving)
     image = itk_image(moving.values, moving.grid)
@@ -214,7 +216,7 @@ def joined(
     grid: Grid,
     blocks: tuple[int, int, int],
 ) -> LoadedPair:
-    """Return block means of two volumes as a pair, with the mask of the whole volume reduced likewise."""
+    """Return block means of two volumes as a pair; the full-size mask ``inside`` is reduced here."""
     if inside is not None and max(blocks) > 1:
         inside = block_means(inside, blocks) >= 0.5
     placed = grid if max(blocks) == 1 else None
@@ -222,8 +224,11 @@ def joined(
 
 
 def usable(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, name: Path | str) -> NDArray[np.float32]:
-    """Return a volume finite outside the mask, too; InputError where it is not finite inside, or all equal."""
-    if not all(np.isfinite(one_slice).all() for one_slice in values):  # a mask of the whole would take memory
+    """Return a volume with finite values outside the mask, too.
+
+    Raise InputError if values inside are not finite, or all values are equal.
+    """
+    if not all(np.isfinite(one_slice).all() for one_slice in values):  # slice by slice to save memory
         bad = ~np.isfinite(values)
         count = int(np.count_nonzero(bad if inside is None else bad & inside))
         if count:
@@ -237,12 +242,14 @@ def usable(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, name: 
 def label_masks(
     values: NDArray[np.float32], name: str, regions: Sequence[tuple[str, int]] = ()
 ) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """Yield name and mask, bool, of the regions of a mask or label map, one at a time.
+    """Yield name and mask, bool, of each region in a mask or label map.
 
-    Of ``values``, 0 is outside. Whole numbers of which several occur are labels, as is one other than 1 and 255, or
-    whatever occurs where ``regions`` names labels, (name, label); others are ``NAME_LABEL``. Fractions up to 1 are
-    probabilities, of which the region has at least 0.5. InputError: fractions above 1, or of labels that have names:
-    as in a label map after linear interpolation; or more labels than label maps have.
+    0 is outside. A map with one value, 1 or 255, is a mask, unless ``regions``, (name, label), is given. Other whole
+    numbers are labels; labels without a name are called ``NAME_LABEL``. Fractions up to 1 are probabilities; the
+    region is where they are at least 0.5.
+
+    Raise InputError for fractions above 1 or with named labels, as linear interpolation of labels makes them, and for
+    more labels than label maps have.
     """
     values = np.where(np.isfinite(values), values, np.float32(0))
     near = np.rint(values)
@@ -265,13 +272,13 @@ def label_masks(
 
 
 def spacing_of(grid: Grid, blocks: tuple[int, int, int]) -> tuple[float, float, float]:
-    """Return the distances (z, y, x) of the centers of blocks of voxels, mm."""
+    """Return the spacing (z, y, x) of blocks of voxels, mm."""
     z, y, x = (s * n for s, n in zip(grid.spacing[::-1], blocks, strict=True))
     return z, y, x
 
 
 def blocks_of(grid: Grid, max_voxels: int | None) -> tuple[int, int, int]:
-    """Voxels (z, y, x) that are taken together so that about ``max_voxels`` cubes are left."""
+    """Return the block size (z, y, x), in voxels, that leaves about ``max_voxels`` blocks, nearly cubes."""
     count = grid.size[0] * grid.size[1] * grid.size[2]
     if max_voxels is None or count <= max_voxels:
         return (1, 1, 1)

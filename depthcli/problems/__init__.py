@@ -1,18 +1,18 @@
-"""The problems, one file each: what goes in, from files or arrays, how it is solved, and what comes out.
+"""The problems, one file each: inputs from files or arrays, the solution, and the results.
 
-A command has its scenes computed by a ``Problem`` of this package; a function for Python makes the inputs of the same
-problem from arrays.
+A command computes its scenes with a ``Problem`` of this package. The Python function of the command creates the inputs
+of the same problem from arrays.
 
-| module | holds |
+| module | content |
 |---|---|
-| ``problem`` | ``Problem``: load, solve, row; ``SceneJob`` for what a command computes otherwise |
-| ``inputs`` | presets and overrides to configs; arrays to images, maps and volumes |
-| ``results``, ``rectified``, ``frames`` | results and their files; pairs of a calibrated rig; depth of sensors |
-| ``stereo``, ``fusion`` | a pair to its disparity map |
-| ``given_maps`` | maps of other programs: confidence, fusion |
-| ``kinect``, ``transparent`` | the depth of a sensor, refined |
-| ``registration`` | two registered volumes to the expected error |
-| ``evaluation`` | an estimate and the truth to scores |
+| ``problem`` | ``Problem``: load, solve, row; ``SceneJob`` for commands that are no problem |
+| ``inputs`` | configs from presets and overrides; images, maps and volumes from arrays |
+| ``results``, ``rectified``, ``frames`` | results and their files; rectified pairs; refined sensor depth |
+| ``stereo``, ``fusion`` | disparity maps of pairs |
+| ``given_maps`` | confidence and fusion of maps from other programs |
+| ``kinect``, ``transparent`` | refined depth of a sensor |
+| ``registration`` | expected error of a registration |
+| ``evaluation`` | scores of an estimate |
 | ``depth``, ``rectify``, ``boards``, ``sample`` | metric depth, rectified pairs, calibrations, generated scenes |
 """
 
@@ -32,7 +32,7 @@ PROBLEMS = {
     "transparent": "transparent:Transparent",
     "register-confidence": "registration:Register",
 }
-"""Commands with configs -> module and class, by name: listing presets imports none."""
+"""Command with configs -> names of module and class, so that listing presets imports none of them."""
 
 
 def load(command: str) -> type[Problem[Any, Any, Any]]:

@@ -1,4 +1,4 @@
-"""Calibrate: one camera or two from photos of a board, with a report and a picture of the corners."""
+"""Calibrate one or two cameras from photos of a board; write a report and a picture of the corners."""
 
 from __future__ import annotations
 
@@ -41,37 +41,37 @@ from depthcli.run.console import Reporter
 from depthcli.show.table import Row, aligned, to_json
 from depthcli.show.view import draw_text
 
-_NOT_FOUND, _OUTLIER = "board not found", "outlier"  # why a photo does not count
+_NOT_FOUND, _OUTLIER = "board not found", "outlier"  # reasons for ignoring a photo
 _LENGTH = re.compile(r"\s*([0-9]*\.?[0-9]+)\s*(mm|cm|m)\s*")
 _BOARD = re.compile(r"(charuco:)?(\d{1,3})x(\d{1,3})", re.IGNORECASE)
 _MAX_SQUARE = 10.0  # meters
-_COUNTS = (2, 200)  # corners of a row or column
-_CELLS = (8, 6)  # of an image, for the share of it that corners cover
+_COUNTS = (2, 200)  # limits of corners per row or column
+_CELLS = (8, 6)  # cells per image, to measure the coverage by corners
 
-# Beyond these the report has a warning.
+# Beyond these limits the report has a warning.
 _MAX_DEVIATION = 0.005  # of the focal length
 _MAX_ERROR = 1.0  # pixels, root mean square
-_MIN_COVERAGE = 0.5  # of the cells of an image
+_MIN_COVERAGE = 0.5  # of an image's cells
 
-_WIDTH, _TITLE = 640, 24  # of a camera's picture, and the height of its title, pixels
-_RED_PX = 1.0  # error of a corner that is drawn red
+_WIDTH, _TITLE = 640, 24  # width of a camera's picture and height of its title, pixels
+_RED_PX = 1.0  # error from which a corner is red
 
 
 @dataclass
 class CameraPhotos:
-    """A camera, and what its photos show."""
+    """A camera and the board's corners in its photos."""
 
     side: str
     name: str  # in messages
     size: Size = (0, 0)  # of most photos
-    corners: dict[str, Corners] = field(default_factory=dict)  # of the board, by the name of the photo
-    left_out: dict[str, str] = field(default_factory=dict)  # name -> why a photo does not count
+    corners: dict[str, Corners] = field(default_factory=dict)  # name of a photo -> corners of the board
+    left_out: dict[str, str] = field(default_factory=dict)  # name of an ignored photo -> reason
     unreadable: bool = False  # whether a photo could not be read
-    fit: CameraFit = field(init=False)  # by its own photos alone
+    fit: CameraFit = field(init=False)  # from its own photos alone
 
     @property
     def coverage(self) -> float:
-        """Share of the 8 x 6 cells of the image in which a photo that counts has a corner."""
+        """Share of the image's 8 x 6 cells with a corner of a photo in use."""
         used = np.concatenate([self.corners[name].pixels for name in self.fit.errors])
         cells = np.floor(used / self.size * _CELLS).astype(int)
         return len({(x, y) for x, y in cells.tolist()}) / (_CELLS[0] * _CELLS[1])
@@ -79,23 +79,23 @@ class CameraPhotos:
 
 @dataclass
 class Calibrated:
-    """One camera or two, as their photos give them."""
+    """One or two calibrated cameras."""
 
     views: Sequence[CameraPhotos]
     rig: RigFit | None = None
-    row_errors: dict[str, float] = field(default_factory=dict)  # of each pair once rectified, pixels
+    row_errors: dict[str, float] = field(default_factory=dict)  # name of a pair -> row error after rectification, px
     warnings: list[str] = field(default_factory=list)
     report: Row = field(default_factory=dict)
-    summary: str = ""  # of the files that were written
+    summary: str = ""  # line about the written files
 
     @property
     def cameras(self) -> list[Camera]:
-        """The cameras of the rig, or the one that there is."""
+        """The cameras of the rig, or the single camera."""
         return [view.fit.camera for view in self.views] if self.rig is None else [self.rig.rig.left, self.rig.rig.right]
 
 
 def board_of(board: str, square: str, marker: str | None, dictionary: str) -> Board:
-    """Return the board that the options of these names describe; ConfigError if no board is like that."""
+    """Return the board that the options with these names describe. Raise ConfigError for impossible boards."""
     match = _BOARD.fullmatch(board.strip())
     if match is None:
         raise ConfigError(f"--board: expected 9x6 (inner corners) or charuco:7x5 (squares) (got {board!r})")
@@ -122,7 +122,7 @@ def board_of(board: str, square: str, marker: str | None, dictionary: str) -> Bo
 
 
 def _length(name: str, text: str) -> float:
-    """Return the meters of a length with its unit."""
+    """Return a length with its unit in meters."""
     match = _LENGTH.fullmatch(text)
     meters = float(match[1]) * UNITS[match[2]] if match else 0.0
     if not 0 < meters <= _MAX_SQUARE:
@@ -133,7 +133,7 @@ def _length(name: str, text: str) -> float:
 def calibrate_cameras(
     folders: Sequence[Path], board: Board, target: Path, fisheye: bool, overwrite: bool, reporter: Reporter
 ) -> Calibrated:
-    """Return the cameras that took the photos; write calibration, report and picture."""
+    """Calibrate the cameras of the photos, and write calibration, report and picture."""
     if len(folders) > 2:
         raise ConfigError("PHOTOS: one folder, or one of each camera")
     if target.suffix.lower() not in (".yml", ".yaml"):
@@ -173,7 +173,7 @@ def calibrate_cameras(
 
 
 def _look(view: CameraPhotos, board: Board, files: Mapping[str, Path | None], reporter: Reporter) -> None:
-    """Find the board in the photos of a camera; InputError where too few show it."""
+    """Find the board in a camera's photos. Raise InputError if too few show it."""
     sizes: dict[str, Size] = {}
     for name, file in files.items():
         reporter.step()
@@ -207,9 +207,9 @@ def _look(view: CameraPhotos, board: Board, files: Mapping[str, Path | None], re
 
 
 def _with_rig(board: Board, left: CameraPhotos, right: CameraPhotos) -> Calibrated:
-    """Return two cameras with their rig, and by how much the rows of each pair differ once rectified.
+    """Return two cameras with their rig and the row error of each pair after rectification.
 
-    InputError where they do not fit the photos about as well as each camera alone.
+    Raise InputError if the rig fits the photos much worse than each camera alone.
     """
     both = [name for name in left.fit.errors if name in right.fit.errors]
     if len(both) < MIN_PHOTOS:
@@ -286,7 +286,7 @@ def _doubts(view: CameraPhotos) -> list[str]:
 
 
 def _camera(view: CameraPhotos, camera: Camera) -> Row:
-    """Return the entry of a camera in the report: pixels, degrees; errors belong to the fit to its own photos."""
+    """Return a camera's entry in the report, in pixels and degrees; errors are from the fit to its own photos."""
     fit, (fx, fy), (cx, cy) = view.fit, np.diag(camera.matrix)[:2], camera.matrix[:2, 2]
     row: Row = {"side": view.side, "size": list(view.size), "fx": fx, "fy": fy, "cx": cx, "cy": cy}
     row |= {"focal_lengths_alone": np.diag(fit.camera.matrix)[:2].tolist()} if camera is not fit.camera else {}
@@ -297,7 +297,7 @@ def _camera(view: CameraPhotos, camera: Camera) -> Row:
 
 
 def _photo(name: str, calibrated: Calibrated) -> Row:
-    """Return the entry of a photo or pair in the report: errors in pixels, and why it does not count."""
+    """Return the entry of a photo or pair in the report: errors in pixels, and reasons if it is ignored."""
     views, rig, row_errors = calibrated.views, calibrated.rig, calibrated.row_errors
     errors = {view.side: view.fit.outliers | view.fit.errors for view in views}
     row: Row = {
@@ -312,7 +312,7 @@ def _photo(name: str, calibrated: Calibrated) -> Row:
 
 
 def table_of(report: Row) -> str:
-    """Return a line for every photo or pair: reprojection errors, rows, and why it does not count."""
+    """Return a table of photos or pairs: reprojection errors, row errors, and reasons for ignoring them."""
     sides = [camera["side"] for camera in report["cameras"]]
     two = len(sides) == 2
     lines: list[tuple[str, ...]] = [("photo", "used", *((*sides, "rows") if two else ("error",)))]
@@ -325,7 +325,7 @@ def table_of(report: Row) -> str:
 
 
 def print_summary(calibrated: Calibrated, reporter: Reporter) -> None:
-    """Name the photos that are left out, warn, print a line a camera and one of the rig, and name the files."""
+    """Print ignored photos, warnings, a line per camera, a line about the rig, and the names of the files."""
     report, views = calibrated.report, calibrated.views
     for reason, text in ((_OUTLIER, "left out, since they do not fit the others"), (_NOT_FOUND, "no board")):
         if names := [row["name"] for row in report["photos"] if reason in row["left_out"].values()]:
@@ -349,7 +349,7 @@ def print_summary(calibrated: Calibrated, reporter: Reporter) -> None:
 
 
 def _picture_of(views: Sequence[CameraPhotos]) -> NDArray[np.uint8]:
-    """Return (H, W, 3): the corners in every camera's image, green where they fit, red where off by a pixel."""
+    """Return a picture (H, W, 3) of the corners in each camera's image, from green (no error) to red (1 px)."""
     pictures = []
     for view in views:
         scale = _WIDTH / view.size[0]

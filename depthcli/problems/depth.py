@@ -1,4 +1,4 @@
-"""Depth: the metric depth of the disparity maps of a run, or of a single one, and a point cloud."""
+"""Compute metric depth and point clouds from the disparity maps of a run, or from a single map."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _MAP = "disp_left.pfm"
 
 @dataclass(frozen=True)
 class ToDepth(SceneJob[DisparityScene]):
-    """Turns disparity maps into depth and point clouds; ConfigError where the options do not fit together."""
+    """Turn disparity maps into depth and point clouds. Raise ConfigError if options contradict each other."""
 
     command = "depth"
     writes = DEPTH_FILES
@@ -57,7 +57,7 @@ class ToDepth(SceneJob[DisparityScene]):
         protocol="depth",
     )
 
-    config: Mapping[str, Any]  # option -> value; None: not given
+    config: Mapping[str, Any]  # option -> value, or None if it is not given
 
     def __post_init__(self) -> None:
         config = self.config
@@ -68,22 +68,22 @@ class ToDepth(SceneJob[DisparityScene]):
         parse_mask(config["mask"] or "all")
 
     def files(self, scene: DisparityScene) -> dict[str, Path]:
-        """Return the map with what belongs to it, and the second file of a calibration."""
+        """Return role -> file for the map, its related files, and a calibration's second file."""
         second = self.config.get("second_calibration")
         return scene.input_files | ({} if second is None else {"second_calibration": Path(second)})
 
     def settings(self, scene: DisparityScene) -> dict[str, str]:
-        """Return which cameras of the calibration took the pair."""
+        """Return the numbers of the pair's cameras in the calibration."""
         return {"cameras": f"{scene.cameras}"}
 
     def memory(self, scene: DisparityScene) -> None:
-        """Return None, since it is little more than the map itself; InputError without a calibration."""
+        """Return None, since little more than the map is needed. Raise InputError without a calibration."""
         if self.config["focal"] is None:
-            with collected_warnings():  # which computing says
+            with collected_warnings():  # compute() repeats them
                 self._geometry(scene)
 
     def compute(self, scene: DisparityScene, folder: Path, context: Context) -> Outcome:
-        """Load a map with its status, confidence and bound, compute depth, save it and the cloud."""
+        """Load a map with its status, confidence and bound, compute its depth, and save depth and cloud."""
         config, clock = self.config, context.clock
         clock.start("load")
         scene.check()
@@ -174,24 +174,24 @@ def find_maps(
     by_hand: bool = False,
     pairs: Callable[[], Sequence[Scene]] | None = None,
 ) -> list[DisparityScene]:
-    """Return the disparity maps of a run, with their left images and calibrations, or a single map.
+    """Return the disparity maps of a run, or a single map, with their left images and calibrations.
 
-    A scene that the run's report lists as done, but whose map is gone, is among them with a ``problem``. InputError
-    where there is no such run, or no map of a scene that matches.
+    If the report lists a scene as done but its map is missing, the scene has a ``problem``. Raise InputError if there
+    is no such run, or no map of a matching scene.
 
     Parameters
     ----------
     run : run folder, or file of a map
     patterns : shell patterns of the names of scenes
     left : left image of a single map
-    calibration : calibration of all maps, instead of their own
-    by_hand : the cameras are given by numbers, instead of calibrations
-    pairs : returns the image pairs that were matched; None: they are where the run's report says
+    calibration : calibration for all maps, instead of their own
+    by_hand : whether numbers describe the cameras, instead of calibrations
+    pairs : returns the matched image pairs; None: the run's report gives their places
     """
     run = local(run)
     if os.path.isfile(run):
         single = DisparityScene(name=run.stem, folder=run.parent, disparity=run)
-        if run.name == _MAP and os.path.isfile(run.with_name("record.json")):  # with what the run wrote beside it
+        if run.name == _MAP and os.path.isfile(run.with_name("record.json")):  # with the run's other files
             single = _map_of(run.parent, run.stem, None, None)
         if calibration is not None or by_hand:
             single = replace(single, calibration=calibration)
@@ -223,12 +223,12 @@ def find_maps(
 
 
 def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None) -> DisparityScene:
-    """Return the map in ``folder``; ``pair`` is the scene it was made from, and ``source`` its left image, if known."""
+    """Return the map in ``folder``; ``pair`` is its scene and ``source`` its left image, if known."""
     left = source if source is not None and os.path.isfile(source) else None
     calibration, cameras, geometry = None, (2, 3), None
     if isinstance(pair, StereoScene):
         left, calibration, cameras, geometry = pair.left, pair.calibration, pair.cameras, pair.geometry
-    if all(os.path.isfile(folder / name) for name in ("calib.txt", "left.png")):  # the pair was rectified for the map
+    if all(os.path.isfile(folder / name) for name in ("calib.txt", "left.png")):  # the run rectified the pair
         left, calibration, cameras, geometry = folder / "left.png", folder / "calib.txt", (2, 3), None
     elif pair is None and left is not None and os.path.isfile(beside := left.parent / "calib.txt"):
         calibration = beside

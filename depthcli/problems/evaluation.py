@@ -1,4 +1,4 @@
-"""Estimates compared with the truth: ``evaluate``, by the rules of a benchmark."""
+"""Compare estimates with ground truth by the rules of a benchmark: ``evaluate``."""
 
 from __future__ import annotations
 
@@ -26,30 +26,31 @@ from depthcli.io.stereo_pairs import StereoTruth
 from depthcli.io.volume_pairs import RegistrationTruth
 from depthcli.problems.inputs import as_map, as_volume
 
-_TRUTH = Path("truth")  # files of a truth in memory, for messages
+_TRUTH = Path("truth")  # file name of a ground truth in memory, for messages
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Scores:
-    """The scores of one estimate.
+    """The scores of an estimate.
 
-    ``error`` is absolute, in the protocol's unit, NaN where estimate or truth has no value: (H, W), or of registration
-    errors (M,) at those whose truth is known. ``picture`` is (H, W, 3): blue right, orange wrong, grey and purple the
-    same where occluded, black no value, white unknown; None if the protocol draws none.
+    ``error`` is absolute, in the protocol's unit, NaN if estimate or ground truth has no value: (H, W), or (M,) for
+    registration errors, at points with known ground truth. ``picture`` is (H, W, 3): blue is correct and orange
+    incorrect; grey and purple are the same for occluded pixels; black is no value and white unknown ground truth. It is
+    None if the protocol draws no picture.
     """
 
     protocol: str
-    metric: str  # the one that the protocol ranks by, with its threshold
+    metric: str  # the protocol's ranking metric, with its threshold
     headline: Mapping[str, float]  # region -> value of that metric
-    scores: tuple[Score, ...]  # every metric in every region
+    scores: tuple[Score, ...]  # all metrics in all regions
     error: NDArray[np.floating[Any]]
     picture: NDArray[np.uint8] | None
-    warnings: tuple[str, ...]  # what looks wrong with the estimate, one line each
+    warnings: tuple[str, ...]  # one line about each doubtful property of the estimate
 
     def value(self, metric: str, region: str, threshold: float | None = None) -> float:
-        """Return the score of a metric, such as ``bad``, and a region, such as ``all``.
+        """Return the score of a metric, such as ``bad``, in a region, such as ``all``.
 
-        InputError, with the names that there are, where none fits, or several do.
+        If not exactly one score matches, raise InputError with the possible names.
         """
         try:
             return find_score(self.scores, metric, region, threshold).value
@@ -61,7 +62,7 @@ class Scores:
             raise InputError(text) from None
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row for every score, with the columns of ``scores.csv`` that say what it is: for a data frame."""
+        """Return one row per score for a data frame, with the columns of ``scores.csv`` that identify the score."""
         return [score.row() for score in self.scores]
 
     def __iter__(self) -> Iterator[Score]:
@@ -86,21 +87,21 @@ def evaluate(
     truth_right: ArrayLike | None = None,
     objects: ArrayLike | None = None,
 ) -> Scores:
-    """Return the scores of a map by the rules of a benchmark, and the error of every pixel.
+    """Return the scores of a map by the rules of a benchmark, with the error of every pixel.
 
-    InputError for an unknown protocol, arrays that differ in size, or a truth without a known value.
+    Raise InputError for an unknown protocol, arrays that differ in size, or ground truth without known values.
 
     Parameters
     ----------
-    estimate : a result, or an array of the truth's size: disparities in pixels, depths in meters, or expected
-        registration errors in mm; what is not finite is no value, of depths what is not positive
-    truth : (H, W) disparities or depths; or registration errors, (Z, Y, X) or (N,) of points; NaN = unknown
+    estimate : a result, or an array of the ground truth's size: disparities in pixels, depths in meters, or expected
+        registration errors in mm; non-finite numbers, and depths that are not positive, are no value
+    truth : (H, W) disparities or depths, or registration errors, (Z, Y, X) or (N,) at points; NaN = unknown
     protocol : a name of ``depthcli.evaluation.protocols.names()``, such as ``middlebury-v2`` or ``depth``
-    mask : (H, W), True where pixels count, the region ``all``; or name of a region -> mask, such as ``nonocc``
-    threshold : of the headline, in the protocol's unit; None: the benchmark's
-    fb : of depths: focal length x baseline of the sensor, for errors in its pixels
-    truth_right : of disparities: those of the right view, from which Middlebury v2 derives ``nonocc`` and ``disc``
-    objects : of disparities: (H, W), > 0 on the foreground objects of KITTI 2015
+    mask : (H, W), True for the pixels to evaluate, the region ``all``; or region -> mask, such as ``nonocc``
+    threshold : threshold of the headline, in the protocol's unit; None: the benchmark's
+    fb : for depths: focal length x baseline of the sensor, for errors in its pixels
+    truth_right : for disparities: the right view's map, from which Middlebury v2 derives ``nonocc`` and ``disc``
+    objects : for disparities: (H, W), > 0 on the foreground objects of KITTI 2015
 
     Examples
     --------
@@ -169,7 +170,7 @@ def evaluate(
 def _points(
     estimate: Any, truth: ArrayLike, mask: ArrayLike | Mapping[str, ArrayLike] | None
 ) -> tuple[RegistrationTruth, NDArray[np.float32]]:
-    """Return the true registration errors, and the expected ones at their points."""
+    """Return the true registration errors, and the expected errors at the same points."""
     given, wanted = np.asanyarray(estimate), np.asanyarray(truth)
     if given.shape != wanted.shape or given.size == 0:
         raise InputError(f"estimate: shape {given.shape}, but the truth has {wanted.shape}")

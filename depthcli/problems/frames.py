@@ -1,4 +1,4 @@
-"""Depth of sensors, refined: what ``refine-kinect`` and ``transparent`` have in common."""
+"""Common parts of ``refine-kinect`` and ``transparent``, which refine the depth of sensors."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from depthcli.run.job import SceneT
 
 
 class DepthConfig(RootConfig):
-    """How depth is read, what is said of its errors, and which points the clouds have."""
+    """Options for reading depth, its error bounds, and point clouds."""
 
     depth_scale: float | None = Field(
         None, gt=0, le=1e6, description="codes per meter in the files; null: as the layout says"
@@ -68,31 +68,31 @@ class DepthConfig(RootConfig):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RefinedDepth(MapRepr, DepthMap):
-    """The depth map of a sensor, cleaned and completed.
+    """A sensor's depth map, cleaned and completed.
 
     ``values`` (H, W) are float32, meters, NaN = no value; ``status`` (H, W) uint8 has bits of :class:`DepthStatus`,
     which ``kept``, ``filled`` and ``corrected`` read.
     """
 
-    frame: RgbdFrame  # the color image, the depth as it was measured, and any sparse depth
-    camera: Intrinsics | None  # of the color image; None: not known
-    bound: NDArray[np.float32]  # (H, W) of the error, meters: a share ``level`` is not larger; NaN = no value
-    probability: NDArray[np.float32]  # (H, W) of an error up to ``within`` meters; 0 where there is no value
-    details: DepthResult  # what the method returns beside the map: confidence, tables, pictures, figures
+    frame: RgbdFrame  # color image, measured depth, and sparse depth if any
+    camera: Intrinsics | None  # of the color image; None: unknown
+    bound: NDArray[np.float32]  # (H, W) error bound, meters: a share ``level`` of errors is within it; NaN = no value
+    probability: NDArray[np.float32]  # (H, W) probability of an error up to ``within`` meters; 0 if there is no value
+    details: DepthResult  # the method's further results: confidence, tables, pictures, figures
     seconds: Mapping[str, float]  # stage -> time
     scale: float = MILLIMETERS  # codes per meter of depth.png
-    rotate: int = 0  # bits that the codes are rotated left by
-    cloud: NDArray[np.bool_] | None = None  # (H, W), the pixels that ``save`` writes as points.ply
-    warnings: tuple[str, ...] = ()  # what looks wrong, one line each
+    rotate: int = 0  # bits by which the codes are rotated left
+    cloud: NDArray[np.bool_] | None = None  # (H, W), the pixels that ``save`` writes to points.ply
+    warnings: tuple[str, ...] = ()  # one line per warning
 
     @property
     def color(self) -> NDArray[np.uint8]:
-        """(H, W, 3) the color image."""
+        """The color image, (H, W, 3)."""
         return self.frame.color
 
     @property
     def confidence(self) -> Mapping[str, NDArray[np.float32]]:
-        """Name of a measure -> (H, W) float32, higher is surer."""
+        """Name of a measure -> (H, W) float32, higher is more certain."""
         return self.details.confidence
 
     def to_points(
@@ -103,11 +103,11 @@ class RefinedDepth(MapRepr, DepthMap):
         intrinsics: tuple[float, float, float, float] | None = None,
         max_bound: float = math.inf,
     ) -> PointCloud:
-        """Return the colored points of the pixels that ``mask`` chooses, from ``near`` to ``far`` meters.
+        """Return the colored points of the pixels that ``mask`` selects, from ``near`` to ``far`` meters.
 
-        The mask is ``measured`` (not filled in or corrected), ``all``, or (H, W) bool; ``intrinsics`` are fx, fy, cx,
-        cy, pixels, by default those of ``camera``, or of a typical Kinect where that is not known. Points with a
-        ``bound`` above ``max_bound`` meters are left out.
+        The mask is ``measured`` (not filled in or corrected), ``all``, or (H, W) bool. ``intrinsics`` are fx, fy, cx,
+        cy, pixels; the default is ``camera``, or a typical Kinect if it is unknown. Points with a ``bound`` above
+        ``max_bound`` meters are left out.
         """
         camera = self.camera or typical_intrinsics(self.values.shape[1], self.values.shape[0])
         if intrinsics is not None:
@@ -118,10 +118,7 @@ class RefinedDepth(MapRepr, DepthMap):
         return PointCloud.of(self, camera, self.color, chosen, near, far)
 
     def save(self, folder: str | Path) -> None:
-        """Write the files that ``depthcli refine-kinect`` and ``transparent`` write for a scene, with the same bytes.
-
-        The folder is created where it is missing.
-        """
+        """Write the same files as ``depthcli refine-kinect`` and ``transparent``; create the folder if needed."""
         files = made(folder)
         write_depth(self, files, self.scale, self.rotate, self.bound)
         write_pfm(files / "probability.pfm", self.probability)
@@ -144,13 +141,13 @@ class DepthProblem(Problem[SceneT, InputsT, RefinedDepth], Generic[SceneT, Input
 
     @classmethod
     def ready(cls, config: ConfigT) -> Self:
-        """Return the problem; ConfigError where the limits of clouds are wrong, before any frame is opened."""
+        """Return the problem. Raise ConfigError for wrong options of clouds, before any frame is opened."""
         check_limits(config.near, config.far)
         parse_mask(config.mask)
         return cls(config)
 
     def units(self, scenes: Sequence[Any], reporter: Reporter) -> Sequence[SceneT]:
-        """Return the frames, with a warning of those without intrinsics, if clouds need these."""
+        """Return the frames; warn about missing intrinsics if clouds need them."""
         own = [scene for scene in scenes if not (scene.problem or scene.raw)]
         needed = self.config.ply and self.config.intrinsics is None
         if needed and (n_without := sum(frame.intrinsics is None for frame in own)):
@@ -199,18 +196,18 @@ class DepthProblem(Problem[SceneT, InputsT, RefinedDepth], Generic[SceneT, Input
 
 @cache
 def kinect_errors() -> DepthErrors:
-    """Return the network and the table of the package."""
+    """Return the package's network and error table for sensor depth."""
     return DepthErrors(read_network(network_path("depth_error")), read_errors("depth_errors"))
 
 
 @cache
 def glass_errors() -> GlassErrors:
-    """Return the curves and tables of the package for completed depth."""
+    """Return the package's curves and error tables for completed depth."""
     return GlassErrors(read_numbers("glass_curves"), tuple(read_errors(f"glass_{kind}") for kind in KINDS))
 
 
 def depth_bounds(frame: RgbdFrame, found: DepthMap, promise: DepthBound) -> tuple[Floats, Floats]:
-    """Return bound, meters, NaN = no value, and probability of an error within ``promise.within``, of a frame's map."""
+    """Return a map's error bound, meters, NaN = no value, and the probability of errors up to ``promise.within``."""
     if isinstance(frame, SparseFrame):
         return glass_bounds(glass_errors(), frame, found, promise.level, promise.within)
     return kinect_bounds(kinect_errors(), frame, found, promise.level, promise.within)

@@ -1,4 +1,4 @@
-"""Pairs to disparity maps by several measures, fused: ``fuse``, and what differs from ``stereo``."""
+"""Match pairs with several fused measures: ``fuse``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from depthcli.problems.stereo import (
 
 
 class FuseConfig(PairConfig, Fusion):
-    """The fields of ``Fusion`` and of every config that matches pairs, side by side."""
+    """The fields of ``Fusion`` and the common fields for matching pairs."""
 
     command: ClassVar[str] = "fuse"
     flattened: ClassVar[str] = ""
@@ -39,16 +39,16 @@ class FuseConfig(PairConfig, Fusion):
 
 @dataclass(frozen=True)
 class Fuse(Pairs[FuseConfig]):
-    """Pairs matched by fusion; volumes made elsewhere are read when a pair is matched."""
+    """Match pairs with fusion; external cost volumes are read when a pair is matched."""
 
     command = "fuse"
     model = FuseConfig
 
-    volumes: Mapping[str, NDArray[Any]] | None = None  # of pairs that are arrays: name -> (H, W, D) costs
+    volumes: Mapping[str, NDArray[Any]] | None = None  # for pairs of arrays: name -> (H, W, D) costs
 
     @classmethod
     def ready(cls, config: FuseConfig) -> Self:
-        """Return the problem with its networks opened; ConfigError where one cannot be used, or is for other maps."""
+        """Return the problem with open networks. Raise ConfigError if one is unusable or for other maps."""
         config = with_opened_networks(super().ready(config).config, "cpu")
         if config.network_name is None:
             return cls(config)
@@ -58,7 +58,7 @@ class Fuse(Pairs[FuseConfig]):
             raise ConfigError(f"maps.choice.weights: {error}") from None
 
     def matcher(self, scene: StereoScene | None = None) -> PairMatcher:
-        """Return the fusion, with the volumes of the scene, or those given as arrays."""
+        """Return the fusion with the scene's volumes, or with the volumes given as arrays."""
         if scene is None:
             given = self.volumes or {}
             if self.config.volumes - set(given):
@@ -70,7 +70,7 @@ class Fuse(Pairs[FuseConfig]):
         return self.config.with_volumes(lambda: {name: map_npy(file, 3) for name, file in files.items()})
 
     def files(self, scene: StereoScene) -> dict[str, Path]:
-        """Return the files of the pair, the volumes made elsewhere, and the network that chooses among maps."""
+        """Return role -> file for the pair, external volumes, and the network that chooses among maps."""
         name = self.config.network_name
         network = {} if name is None else {"network": network_path(name)}
         return super().files(scene) | self._volumes(scene) | network
@@ -90,15 +90,15 @@ def fuse(
     volumes: Mapping[str, ArrayLike] | None = None,
     **fields: object,
 ) -> Disparity:
-    """Return the map of a rectified pair by several measures, each trusted where the pixels around agree with it.
+    """Return the disparity map of a rectified pair from several measures.
 
-    ConfigError and InputError as for :func:`stereo`.
+    A measure is trusted where neighboring pixels agree with it. Raise ConfigError and InputError as :func:`stereo`.
 
     Parameters
     ----------
     left, right, max_disparity, overrides, **fields : as for :func:`stereo`
     preset : name of a preset of ``depthcli fuse``, path of a YAML file, or a config
-    volumes : costs made elsewhere: name, as the ``volume`` of a measure in the config has it -> (H, W, D)
+    volumes : external costs: the ``volume`` of a measure in the config -> (H, W, D)
 
     Examples
     --------
@@ -120,14 +120,14 @@ def matcher(
     overrides: Overrides | None = None,
     **fields: object,
 ) -> Matcher:
-    """Return what matches many pairs: the config is checked, and kernels are loaded or compiled, once and before.
+    """Return a callable that matches many pairs; the config is checked and kernels are compiled only once, here.
 
-    ConfigError as for :func:`stereo`.
+    Raise ConfigError as :func:`stereo`.
 
     Parameters
     ----------
     preset : as for :func:`stereo`; or a ``FuseConfig``
-    max_disparity, overrides, **fields : as for :func:`stereo`. "auto" finds the range of every pair anew
+    max_disparity, overrides, **fields : as for :func:`stereo`. "auto" estimates the range of every pair
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Maps of any programs: how sure each value is (``confidence``), and the best of several (``fuse maps``)."""
+"""Judge disparity maps of any program (``confidence``), or fuse several (``fuse maps``)."""
 
 from __future__ import annotations
 
@@ -53,41 +53,41 @@ from depthcli.run.resources import available_memory, check_memory
 from depthcli.show.table import SIZE, Row, median, number, percent, share
 from depthcli.show.view import STATUS_PALETTE, View
 
-_TOP_SHARE = 0.999  # of the values; larger ones do not widen the range of the costs
-_MAX_BEYOND = 0.01  # share of a map's values above the range; with more it has a warning
+_TOP_SHARE = 0.999  # quantile of the values; larger values do not widen the search range
+_MAX_BEYOND = 0.01  # share of a map's values above the range, beyond which it has a warning
 _MIN_EXPECTED = 0.3  # mean probability below which a map has a warning
 _RIGHT_FILES = MapFiles(("{scene}/disp_right", "disp_1/{scene}", "{scene}_right", "{scene}"), DisparityFiles().suffixes)
 
 
 @cache
 def networks() -> Networks:
-    """Return the networks of the package, and their tables of errors."""
+    """Return the package's networks and error tables for given maps."""
     right, hidden, one_view = (read_network(network_path(f"map_{name}")) for name in ("right", "hidden", "one_view"))
     return Networks(right, hidden, one_view, read_errors("map_errors"), read_errors("map_errors_one_view"))
 
 
 @dataclass(frozen=True, eq=False)
 class MapConfidence:
-    """How sure a disparity map is: arrays of (H, W) pixels.
+    """The reliability of a disparity map, as arrays of (H, W) pixels.
 
-    ``status`` has bits of :class:`Status`: ``OCCLUDED``, hidden in the right view; ``OUT_OF_RANGE``, its match lies
-    outside the right image; ``MISMATCH``, visible, and more likely wrong than right; ``NO_DATA``, no value.
+    ``status`` has bits of :class:`Status`: ``OCCLUDED``, hidden in the right view; ``OUT_OF_RANGE``, the match is
+    outside the right image; ``MISMATCH``, visible and probably incorrect; ``NO_DATA``, no value.
     """
 
-    values: NDArray[np.float32]  # the map that was judged, pixels, NaN = no value
-    bound: NDArray[np.float32]  # of the error, pixels: a share ``level`` of the errors is not larger; NaN = no value
-    probability: NDArray[np.float32]  # of pixels with p, a share of p is right; 0 where there is no value
+    values: NDArray[np.float32]  # the judged map, pixels, NaN = no value
+    bound: NDArray[np.float32]  # error bound, pixels: a share ``level`` of errors is within it; NaN = no value
+    probability: NDArray[np.float32]  # probability that the value is correct; 0 if there is no value
     status: NDArray[np.uint8]
-    measures: Mapping[str, NDArray[np.float32]]  # those that were asked for; larger is surer, NaN = no value
-    max_disparity: int  # the largest one whose costs were computed, pixels
+    measures: Mapping[str, NDArray[np.float32]]  # requested measures; larger is more certain, NaN = no value
+    max_disparity: int  # largest disparity with computed costs, pixels
     seconds: Mapping[str, float]  # stage -> time
-    warnings: tuple[str, ...] = ()  # what looks wrong, one line each
+    warnings: tuple[str, ...] = ()  # one line per warning
 
     def kept(self, share: float | None = None, threshold: float | None = None) -> NDArray[np.float32]:
-        """Return the map without its doubtful pixels, (H, W) float32, pixels, NaN = no value.
+        """Return the map without unreliable pixels, (H, W) float32, pixels, NaN = no value.
 
-        ``share`` of the map's pixels stay, those of the highest probability (of equal ones all), or those of at least
-        the probability ``threshold``. ConfigError where both are given, or one is not in 0 .. 1.
+        Keep the ``share`` of the map's pixels with the highest probability, including ties, or the pixels whose
+        probability is at least ``threshold``. Raise ConfigError if both are given, or one is not in 0 .. 1.
         """
         if share is not None and threshold is not None:
             raise ConfigError("share and threshold exclude each other")
@@ -102,7 +102,7 @@ class MapConfidence:
         return np.where(self.probability >= np.float32(limit), self.values, np.float32(np.nan))
 
     def save(self, folder: str | Path, share: float | None = None, threshold: float | None = None) -> None:
-        """Write what ``depthcli confidence`` writes, the map as :meth:`kept` returns it, into a folder old or new."""
+        """Write the files of ``depthcli confidence``, with the map of :meth:`kept`; create the folder if needed."""
         kept, files = self.kept(share, threshold), made(folder)
         write_drawn(files / "probability.png", self._picture)
         view = View(kept, "px", (0, self.max_disparity), bound=self.bound)
@@ -118,13 +118,13 @@ class MapConfidence:
 
 @dataclass(frozen=True, eq=False)
 class MapInputs:
-    """Images and maps of their left view, by the names that messages call them."""
+    """Images, and maps of their left view."""
 
-    images: StereoPair | Image  # the pair, or the left image where there is no right one
-    maps: Mapping[str, NDArray[np.float32]]  # (H, W), pixels, NaN = no value
-    max_disparity: int | None = None  # pixels; None: as the pair says
+    images: StereoPair | Image  # the pair, or the left image without a right one
+    maps: Mapping[str, NDArray[np.float32]]  # name in messages -> (H, W), pixels, NaN = no value
+    max_disparity: int | None = None  # pixels; None: estimated from the pair
     right: NDArray[np.float32] | None = None  # (H, W), the map of the right view
-    status: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict)  # (H, W), of some of the maps
+    status: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict)  # name of a map -> (H, W), if it has one
     saving: Mapping[str, Any] = field(default_factory=dict)
     warnings: Sequence[str] = ()
 
@@ -138,7 +138,8 @@ class MapInputs:
     def prepared(self) -> tuple[int, list[NDArray[np.float32]], list[str]]:
         """Return the largest disparity, the maps without values outside of the range, and warnings.
 
-        If none is given, it is that of the pair, not of the maps, whose scale may be wrong; of the maps if it must be.
+        By default, the largest disparity is estimated from the pair, since the scale of the maps may be wrong. If that
+        is impossible, it is estimated from the maps.
         """
         images, maps, max_disparity = self.images, self.maps, self.max_disparity
         if max_disparity is not None and not max_disparity >= 1:
@@ -170,36 +171,36 @@ class MapInputs:
 
 @dataclass(frozen=True)
 class GivenMaps(Problem[MapsScene, MapInputs, ResultT]):
-    """Maps of pairs, found in runs; ``config`` has the options, None for one not given."""
+    """Maps of pairs, found in runs; ``config`` has the options, None if not given."""
 
     rows = PAIRS
     n_added: ClassVar[int] = 0
-    """Number of maps that are compared with the given ones."""
+    """Number of maps that are compared with the given maps."""
 
     config: Mapping[str, Any]
 
     def truth_scenes(self, scenes: Sequence[MapsScene]) -> Sequence[Scene]:
-        """Return the pairs, which can be used without their maps."""
+        """Return the pairs without their maps."""
         return [scene.pair for scene in scenes]
 
     def settings(self, scene: MapsScene) -> dict[str, str]:
-        """Return the readers of the maps, and the range of the scene."""
+        """Return the coding of the maps and the scene's range."""
         maps = scene.maps if scene.right_map is None else (*scene.maps, scene.right_map)
         coding = ", ".join(f"{one.scale} {one.invalid}" for one in maps)
         return {"max_disparity": str(scene.max_disparity), "coding": coding}
 
     def memory(self, scene: MapsScene) -> int | None:
-        """Estimate by the left image's size; None where the maps give the range."""
+        """Return an estimate from the left image's size, or None if the range is not given."""
         top = self.max_disparity(scene)
         return None if top is None else peak_bytes(view_size(scene), top, len(scene.maps) + self.n_added)
 
     def max_disparity(self, scene: MapsScene) -> int | None:
-        """Return the largest disparity that the options or the scene give."""
+        """Return the largest disparity from the options or the scene, or None."""
         given: int | None = self.config["max_disparity"]
         return given or scene.max_disparity
 
     def check_memory(self, inputs: MapInputs, max_disparity: int, context: Context) -> None:
-        """Raise InputError where the memory does not suffice."""
+        """Raise InputError if there is not enough memory."""
         height, width = inputs.shape
         need = peak_bytes(inputs.shape, max_disparity, len(inputs.maps) + self.n_added)
         check_memory(need, context.memory, f"{width} x {height} pixels, {max_disparity + 1} disparities")
@@ -207,7 +208,7 @@ class GivenMaps(Problem[MapsScene, MapInputs, ResultT]):
 
 @dataclass(frozen=True)
 class Confidence(GivenMaps[MapConfidence]):
-    """How sure the first map of a scene is."""
+    """Judge the first map of a scene."""
 
     command = "confidence"
     writes = (*MAP_FILES, "probability.png")
@@ -218,7 +219,7 @@ class Confidence(GivenMaps[MapConfidence]):
     )
 
     def load(self, scene: MapsScene, context: Context) -> MapInputs:
-        """Return the images and the maps of a scene, the one that is judged first."""
+        """Return the images and maps of a scene; the first map is the judged one."""
         context.clock.start("load")
         if scene.right is None and len(scene.maps) > 1:
             raise InputError(f"{scene.left.parent}: no right image, without which there are no witnesses")
@@ -231,7 +232,7 @@ class Confidence(GivenMaps[MapConfidence]):
         return MapInputs(images, maps, self.max_disparity(scene), right, saving=saving, warnings=absent)
 
     def solve(self, inputs: MapInputs, context: Context) -> MapConfidence:
-        """Judge the first map; InputError where the maps do not fit, or the memory does not suffice."""
+        """Judge the first map. Raise InputError for unsuitable maps or too little memory."""
         context.clock.start("other")
         images, measures, promise = inputs.images, self.config["measures"], Bound(**self.config["bound"])
         top, clean, warnings = inputs.prepared()
@@ -256,14 +257,14 @@ class Confidence(GivenMaps[MapConfidence]):
                     "swapped, not rectified, or another scale?"
                 )
         values = np.where(known, first, np.float32(np.nan))
-        # The truth of a value above the largest disparity lies in 0 .. ``top``.
+        # For a value above the largest disparity, the true disparity is assumed to be in 0 .. ``top``.
         bound = np.where(known & np.isnan(clean[0]), values, judgment.bound)
         context.clock.include(judgment.seconds)
         details = judgment.confidence, top, judgment.seconds, tuple(warnings)
         return MapConfidence(values, bound, judgment.probability, status, *details)
 
     def row(self, inputs: MapInputs, result: MapConfidence) -> Row:
-        """Return size, range, density, and the means of what is said of the values."""
+        """Return size, range, density, mean probability, share of hidden pixels, and median bound."""
         known = np.isfinite(result.values)
         hidden = (result.status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
         return {
@@ -279,7 +280,7 @@ class Confidence(GivenMaps[MapConfidence]):
 
 @dataclass(frozen=True)
 class FuseMaps(GivenMaps[Disparity]):
-    """The best of the maps of a scene, pixel by pixel."""
+    """Fuse the maps of a scene by choosing the best value per pixel."""
 
     command = "fuse-maps"
     n_added = N_ADDED
@@ -296,7 +297,7 @@ class FuseMaps(GivenMaps[Disparity]):
     )
 
     def load(self, scene: MapsScene, context: Context) -> MapInputs:
-        """Return the pair and the maps of a scene, with the status of those that a run of this program made."""
+        """Return the pair and maps of a scene, with the status maps of this program's runs."""
         context.clock.start("load")
         pair = load_pair(scene)
         maps = {one.run: loaded(one, pair.shape) for one in scene.maps}
@@ -307,7 +308,7 @@ class FuseMaps(GivenMaps[Disparity]):
         return MapInputs(pair, maps, self.max_disparity(scene), status=status, warnings=absent)
 
     def solve(self, inputs: MapInputs, context: Context) -> Disparity:
-        """Fuse the maps; InputError where the maps do not fit, or the memory does not suffice."""
+        """Fuse the maps. Raise InputError for unsuitable maps or too little memory."""
         pair, maps = inputs.images, inputs.maps
         assert isinstance(pair, StereoPair)
         context.clock.start("other")
@@ -329,7 +330,7 @@ class FuseMaps(GivenMaps[Disparity]):
         return fused if level is None else replace(fused, bound=best.bound, probability=best.probability)
 
     def row(self, inputs: MapInputs, result: Disparity) -> Row:
-        """Return size, range, number of maps, and the means of what is said of the values."""
+        """Return size, range, number of maps, mean probability, median bound, and share of measured pixels."""
         sure = result.confidence["probability"] if result.probability is None else result.probability
         return {
             "width": inputs.shape[1],
@@ -354,22 +355,23 @@ def map_confidence(
     level: float = 0.9,
     measures: Sequence[str] = (),
 ) -> MapConfidence:
-    """Return how wrong each value of a disparity map of a rectified pair may be that any program made.
+    """Return the error bound and the probability of each value in a disparity map from any program.
 
-    ConfigError for an unknown measure, or a number out of bounds; InputError for images and maps that do not fit each
-    other, negative disparities, or too little memory.
+    Raise ConfigError for an unknown measure or a number out of bounds; raise InputError for images and maps of
+    different sizes, negative disparities, or too little memory.
 
     Parameters
     ----------
-    left, right : the images, as for :func:`stereo`; right None: there is none, and the map is judged by its shape and
-        the left image alone, which say far less. Witnesses, most measures and hidden pixels need a right image
-    disparity : (H, W) pixels, the left view's map; NaN, infinite and negative ones = no value
-    max_disparity : largest disparity that is compared with, pixels; None: as the pair says; values above are wrong
-    witnesses : maps of the same view by other methods, which make the judgment better
-    right_disparity : (H, W) pixels, the map of the right view by the same program, for the measure ``left_right``
-    within : error up to which a value counts as right in ``probability``, pixels, 0.25 to 8
-    level : share of the errors that the ``bound`` is not smaller than, 0.5 to 0.99
-    measures : names of single measures that are wanted, too, or ``all``; the error for another name lists them
+    left, right : the images, as for :func:`stereo`. Without a right image (None), the map's shape and the left image
+        are used, which are far less informative. Witnesses, most measures and hidden pixels need a right image
+    disparity : (H, W) pixels, the left view's map; NaN, infinite and negative numbers = no value
+    max_disparity : largest disparity to compare with, pixels; larger values are incorrect; None: estimated from the
+        pair
+    witnesses : maps of the same view from other methods, which improve the judgment
+    right_disparity : (H, W) pixels, the right view's map from the same program, for the measure ``left_right``
+    within : error up to which a value counts as correct in ``probability``, pixels, 0.25 to 8
+    level : share of errors within ``bound``, 0.5 to 0.99
+    measures : names of single measures to compute, too, or ``all``; an unknown name raises an error that lists them
 
     Examples
     --------
@@ -405,19 +407,21 @@ def fuse_maps(
     bound: bool = False,
     level: float = 0.9,
 ) -> Disparity:
-    """Return the best of several disparity maps of a rectified pair at every pixel; one is completed and corrected.
+    """Return a map with the best value of several disparity maps at every pixel; a single map is completed.
 
-    The map has a value everywhere. ConfigError and InputError as for :func:`map_confidence`; no map, or more than 14.
+    The map has a value everywhere. Raise ConfigError and InputError as :func:`map_confidence`, and InputError for no
+    map or more than 14.
 
     Parameters
     ----------
     left, right : the images, as for :func:`stereo`
-    maps : (H, W) pixels each, maps of the left view by any programs; NaN, infinite and negative ones = no value
-    max_disparity : largest disparity that is compared with, pixels; None: as the pair says; values above are wrong
-    within : error up to which a value counts as right in ``confidence["probability"]``, pixels, 0.25 to 8
+    maps : (H, W) pixels each, maps of the left view from any programs; NaN, infinite and negative numbers = no value
+    max_disparity : largest disparity to compare with, pixels; larger values are incorrect; None: estimated from the
+        pair
+    within : error up to which a value counts as correct in ``confidence["probability"]``, pixels, 0.25 to 8
     surfaces : whether planes of segments are proposed, too; slower
-    bound : whether ``bound`` and ``probability`` of the fused map are computed, by judging it once more
-    level : share of the errors that the ``bound`` is not smaller than, 0.5 to 0.99
+    bound : whether to judge the fused map again, which gives its ``bound`` and ``probability``
+    level : share of errors within ``bound``, 0.5 to 0.99
 
     Examples
     --------
@@ -437,7 +441,7 @@ def fuse_maps(
 
 
 def measures_named(names: Sequence[str], option: str = "measures") -> list[str]:
-    """Return the names of measures, each once, "all" for all of them; ConfigError where there is no such measure."""
+    """Return distinct names of measures; "all" stands for all of them. Raise ConfigError for unknown names."""
     if unknown := [name for name in names if name not in ("all", *MEASURES)]:
         raise ConfigError(f"{option}: no measure called {unknown[0]!r}; one of: all, {', '.join(MEASURES)}")
     return list(MEASURES) if "all" in names else list(dict.fromkeys(names))
@@ -449,7 +453,7 @@ def _promise(level: float, within: float) -> Bound:
 
 
 def largest(text: str | None) -> int | None:
-    """Return the largest disparity that the command line gives, or None; ConfigError if it is no number."""
+    """Return the largest disparity from the command line, or None. Raise ConfigError if it is no valid number."""
     if text is None:
         return None
     if not text.isdigit() or not 1 <= int(text) <= 16383:
@@ -468,9 +472,9 @@ def with_maps(
 ) -> list[MapsScene]:
     """Return pairs with their maps.
 
-    A scene needs a map of at least one of the runs ``first``; maps of the runs ``others``, and of the right views by
-    the run ``right``, may be absent. ConfigError or InputError if such a run or a scene is missing, or several
-    files may be a run's maps.
+    A scene needs a map from at least one of the runs ``first``. Maps from the runs ``others``, and right views' maps
+    from the run ``right``, are optional. Raise ConfigError or InputError if a run or scene is missing, or several
+    files may be a run's map.
     """
     places, right_places = find_runs([*first, *others]), find_runs([right]) if right else {}
     of_all, own = given_naming({**right_places, **places}, "--pattern", *coding)
@@ -498,26 +502,26 @@ def with_maps(
 
 @dataclass(frozen=True)
 class _Run:
-    """Maps of one view, by one program: a folder of them, or one map."""
+    """One program's maps of one view: a folder, or a single map."""
 
     name: str
     place: Path
-    files: MapFiles  # usual places of maps of the view
+    files: MapFiles  # usual paths of the view's maps
     naming: MapNaming
 
     def map_of(self, names: Sequence[str]) -> GivenMap | None:
-        """Return the map of a scene that may have these names, or None."""
+        """Return the map of a scene, which may have any of these names, or None."""
         single = os.path.isfile(self.place)
         path = self.place if single else self.naming.files(self.files).find(self.place, names)
         if path is None:
             return None
         status = path.parent / "status.png"
-        is_own = status.is_file() and (path.parent / RECORD_FILE).is_file()  # maps of other programs have no such file
+        is_own = status.is_file() and (path.parent / RECORD_FILE).is_file()  # other programs write no record
         scale = scale_of(path, self.naming.scale, self.naming.any_scale)
         return GivenMap(self.name, path, scale, self.naming.invalid, status if is_own else None)
 
     def recognized(self, scenes: Sequence[StereoScene], names: Mapping[str, Sequence[str]], reporter: Reporter) -> _Run:
-        """Return the run with the pattern of its maps, if another program made them and none has a usual name."""
+        """Return the run with the recognized pattern of its maps, if no map of another program has a usual name."""
         if os.path.isfile(self.place):
             if len(scenes) > 1:
                 raise ConfigError(f"{self.place}: one map for {len(scenes)} scenes; give the folder of their maps")
@@ -541,7 +545,7 @@ class _Run:
 
 
 def loaded(one: GivenMap, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Return a map; InputError where it cannot be read or has another size than the images."""
+    """Return a map. Raise InputError if it cannot be read or differs in size from the images."""
     values = read_foreign_map(one.path, one.scale, one.invalid)
     if values.shape != shape:
         height, width = values.shape

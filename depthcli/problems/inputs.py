@@ -1,4 +1,4 @@
-"""What users give: presets and overrides to configs, arrays to images, maps and volumes."""
+"""Convert user input: presets and overrides to configs; arrays to images, maps and volumes."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from depthcli.io.formats.images import bits_said, pair_of
 ModelT = TypeVar("ModelT", bound=RootConfig)
 
 Overrides = Mapping[str, object]
-"""``a.b`` or plain name of a key -> value."""
+"""Config key, ``a.b`` or a plain name -> value."""
 
 
 def load_config(
     model: type[ModelT], preset: str | Path | ModelT, overrides: Overrides | None = None, **fields: object
 ) -> ModelT:
-    """Return a checked config of a problem; ConfigError names all problems of preset, keys and values, one a line.
+    """Return a checked config. Raise ConfigError with one line for each problem of preset, keys and values.
 
     Parameters
     ----------
     model : class of the config: ``StereoConfig``, ``FuseConfig``, ``RefineKinectConfig``, ``TransparentConfig`` or
         ``RegisterConfidenceConfig``
     preset : name of a preset (``depthcli presets`` lists them), path of a YAML file, or a config
-    overrides : key -> value, as ``--set`` has them: ``{"cost.window": 9}``. A mapping as a value changes only the keys
-        that it holds, unless it names a method
-    **fields : the same for keys that are Python names
+    overrides : key -> value, as in ``--set``: ``{"cost.window": 9}``. A mapping as a value changes only its own keys,
+        unless it names a method
+    **fields : overrides for keys that are Python names
 
     Examples
     --------
@@ -57,7 +57,7 @@ def load_config(
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as a YAML file would give it."""
+    """Return a value as it would come from a YAML file."""
     if isinstance(value, BaseModel):
         return value.model_dump(mode="json", by_alias=True)
     if isinstance(value, Mapping):
@@ -66,14 +66,14 @@ def _plain(value: Any) -> Any:
         return [_plain(each) for each in value]
     if isinstance(value, Path):
         return str(value)
-    return value.tolist() if hasattr(value, "tolist") else value  # numbers and arrays of numpy
+    return value.tolist() if hasattr(value, "tolist") else value  # numpy scalars and arrays
 
 
 def as_image(array: ArrayLike, name: str) -> Image:
-    """Return an image as (H, W) grey or (H, W, 3) RGB, uint8 or uint16; InputError for anything else.
+    """Return an image as (H, W) grey or (H, W, 3) RGB, uint8 or uint16. Raise InputError for other arrays.
 
-    Given are uint8, uint16, bool, or floats from 0 to 1, with 1, 3 or 4 channels, of which the fourth is lost. Kernels
-    are compiled apart for arrays that are not contiguous or cannot be written to: those are copied.
+    The array has uint8, uint16, bool, or floats from 0 to 1, and 1, 3 or 4 channels; the fourth is dropped. Arrays that
+    are not contiguous or not writable are copied, since kernels would be compiled again for them.
     """
     if isinstance(array, str | PathLike):
         raise InputError(f"{name}: expected an image, got a path: read it, such as by cv2.imread(...)[..., ::-1]")
@@ -97,23 +97,23 @@ def as_image(array: ArrayLike, name: str) -> Image:
 
 
 def as_color8(array: ArrayLike, name: str) -> NDArray[np.uint8]:
-    """Return an image, as :func:`as_image` takes it, as (H, W, 3) uint8 RGB; uint16 by the bits of its samples."""
+    """Return an array for :func:`as_image` as (H, W, 3) uint8 RGB; uint16 is scaled by the number of bits in use."""
     image = as_image(array, name)
     return color8(image, bits_said((image,), name, 16 if np.asarray(array).dtype.kind in "bf" else None))
 
 
 def as_pair(left: ArrayLike, right: ArrayLike) -> StereoPair:
-    """Return two images, as :func:`as_image` takes them, as a rectified pair; InputError where they do not agree."""
+    """Return two arrays for :func:`as_image` as a rectified pair. Raise InputError if sizes or dtypes differ."""
     return paired(as_image(left, "left"), as_image(right, "right"), left)
 
 
 def paired(left: Image, right: Image, given: ArrayLike) -> StereoPair:
-    """Return a pair of images; ``given`` tells whether the user gave floats: dark ones use all 16 bits, too."""
+    """Return a pair of images. If ``given``, the user's array, has floats, even dark images use all 16 bits."""
     return pair_of(left, right, (Path("left"), Path("right")), 16 if np.asarray(given).dtype.kind == "f" else None)
 
 
 def as_map(array: ArrayLike, name: str, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
-    """Return numbers as (H, W) float32, of ``shape`` where one is given; InputError for anything else."""
+    """Return numbers as (H, W) float32, with ``shape`` if given. Raise InputError for other arrays."""
     values = squeezed(_numbers(array, name), 2)
     if values.ndim != 2 or values.size == 0:
         raise InputError(f"{name}: expected a map of shape (H, W), got {values.shape}")
@@ -130,10 +130,11 @@ def as_depth(
     shape: tuple[int, int] | None = None,
     scale_floats: bool = True,
 ) -> NDArray[np.float32]:
-    """Return depths as (H, W) float32, meters, NaN = unknown; InputError as for :func:`as_map`, or where all are.
+    """Return depths as (H, W) float32, meters, NaN = unknown.
 
-    There are ``scale`` codes a meter; None: floats are meters, integers millimeters, as floats are without
-    ``scale_floats``. What is unknown, :func:`depthcli.io.formats.depth.meters` says.
+    ``scale`` is in codes per meter; by default, integers are millimeters and floats meters. Without ``scale_floats``,
+    floats are always meters. :func:`depthcli.io.formats.depth.meters` defines unknown values. Raise InputError as
+    :func:`as_map`, or if all depths are unknown.
     """
     as_map(array, name, shape)
     numbers = squeezed(np.ma.filled(array, 0) if isinstance(array, np.ma.MaskedArray) else np.asarray(array), 2)
@@ -144,7 +145,7 @@ def as_depth(
 
 
 def as_volume(array: ArrayLike, name: str) -> NDArray[np.float32]:
-    """Return numbers as (Z, Y, X) float32, a 2-D image with Z = 1; InputError for anything else."""
+    """Return numbers as (Z, Y, X) float32; a 2-D image gets Z = 1. Raise InputError for other arrays."""
     values = _numbers(array, name)
     values = values[None] if values.ndim == 2 else values
     if values.ndim != 3 or values.size == 0:

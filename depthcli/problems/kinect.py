@@ -1,4 +1,4 @@
-"""Depth of a Kinect, or a sensor like it, cleaned and completed: ``refine-kinect`` and ``refine_depth``."""
+"""Clean and complete the depth of a Kinect or similar sensor: ``refine-kinect`` and ``refine_depth``."""
 
 from __future__ import annotations
 
@@ -45,25 +45,25 @@ FrameOrSequence: TypeAlias = RgbdScene | SequenceScene
 
 
 class RefineKinectConfig(DepthConfig):
-    """A pipeline and its parameters, side by side."""
+    """A pipeline with its parameters."""
 
     command: ClassVar[str] = "refine-kinect"
 
     pipeline: Pipeline = Field(description="the data flow from frame to refined depth")
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Estimate of the peak working memory for a frame of ``shape``, in bytes."""
+        """Return an estimate of the peak working memory for a frame of ``shape``, in bytes."""
         return max(self.pipeline.peak_bytes(shape), BYTES_PER_PIXEL * shape[0] * shape[1])
 
 
 @dataclass(frozen=True, eq=False)
 class FrameInputs:
-    """A frame, and the codes that its depth is written in."""
+    """A frame with the coding of its depth."""
 
     frame: RgbdFrame
     scale: float  # codes per meter of depth.png
-    rotate: int = 0  # bits that the codes are rotated left by
-    registered: str = ""  # how depth and color were registered; empty: they were before
+    rotate: int = 0  # bits by which the codes are rotated left
+    registered: str = ""  # how depth and color were registered here; empty: they already were
     warnings: Sequence[str] = ()
 
     saving: ClassVar[Mapping[str, Any]] = {}
@@ -72,7 +72,7 @@ class FrameInputs:
 
 @dataclass(frozen=True)
 class RefineKinect(DepthProblem[FrameOrSequence, FrameInputs, RefineKinectConfig]):
-    """Frames refined, or the frames of sequences in order."""
+    """Refine single frames, or the frames of sequences in order."""
 
     command = "refine-kinect"
     model = RefineKinectConfig
@@ -86,12 +86,12 @@ class RefineKinect(DepthProblem[FrameOrSequence, FrameInputs, RefineKinectConfig
     step: Callable[[RgbdFrame], DepthResult] | None = None  # refines the next frame of a sequence
 
     def truth_scenes(self, scenes: Sequence[FrameOrSequence]) -> Sequence[Scene]:
-        """Return the frames, of sequences, too."""
+        """Return all frames, including the frames of sequences."""
         frames = [each for scene in scenes for each in (scene.frames if isinstance(scene, SequenceScene) else (scene,))]
         return sorted((frame.with_scale(self.config.depth_scale) for frame in frames), key=lambda frame: frame.name)
 
     def settings(self, scene: FrameOrSequence) -> dict[str, str]:
-        """Return the cameras that the layout or the options describe."""
+        """Return the scale of the depth, and the cameras and poses from the layout."""
         frames = scene.frames if isinstance(scene, SequenceScene) else (scene,)
         first = frames[0]
         scale = self.config.depth_scale or first.depth_scale or MILLIMETERS
@@ -103,18 +103,18 @@ class RefineKinect(DepthProblem[FrameOrSequence, FrameInputs, RefineKinectConfig
         return found
 
     def memory(self, scene: FrameOrSequence) -> int:
-        """Estimate by the size of the image, or of the first one."""
+        """Return an estimate from the size of the frame, or of a sequence's first frame."""
         first = scene.frames[0] if isinstance(scene, SequenceScene) else scene
         return self.config.peak_bytes(frame_size(first))
 
     def units(self, scenes: Sequence[Any], reporter: Reporter) -> Sequence[FrameOrSequence]:
-        """Return the frames, or the sequences of them if the pipeline carries a state along."""
+        """Return the frames, or their sequences if the pipeline carries state from frame to frame."""
         frames = super().units(scenes, reporter)
         carries = isinstance(self.config.pipeline, SequencePipeline)
         return cast("Sequence[FrameOrSequence]", sequences(frames)) if carries else frames
 
     def compute(self, scene: FrameOrSequence, folder: Path, context: Context) -> Outcome:
-        """Refine a frame; or the frames of a sequence, each into a folder, with means of their facts."""
+        """Refine a frame, or each frame of a sequence into its own folder; a sequence's facts are means."""
         if isinstance(scene, RgbdScene):
             return super().compute(scene, folder, context)
         along = replace(self, step=frame_by_frame(self.config.pipeline))
@@ -125,7 +125,7 @@ class RefineKinect(DepthProblem[FrameOrSequence, FrameInputs, RefineKinectConfig
             try:
                 target.mkdir()
                 outcomes.append(along.compute(frame, target, replace(context, clock=Clock())))
-            except DepthcliError as error:  # the other frames are written; the state is kept across the gap
+            except DepthcliError as error:  # continue with the next frame, with the same state
                 target.rmdir()
                 problems.append(f"{frame.name}: {error}")
         if not outcomes:
@@ -142,7 +142,7 @@ class RefineKinect(DepthProblem[FrameOrSequence, FrameInputs, RefineKinectConfig
         return Outcome(facts, seconds, [*problems, *dict.fromkeys(warnings)])
 
     def load(self, scene: FrameOrSequence, context: Context) -> FrameInputs:
-        """Return the frame of a scene, with depth registered to color."""
+        """Return a scene's frame with depth registered to color."""
         assert isinstance(scene, RgbdScene)
         context.clock.start("load")
         config = self.config
@@ -155,14 +155,14 @@ class RefineKinect(DepthProblem[FrameOrSequence, FrameInputs, RefineKinectConfig
         return FrameInputs(frame, scene.depth_scale or MILLIMETERS, 3 if scene.rotated else 0, way, warnings)
 
     def solve(self, inputs: FrameInputs, context: Context) -> RefinedDepth:
-        """Refine the frame, and choose the pixels of its cloud; InputError where the memory does not suffice."""
+        """Refine the frame and select the pixels of its cloud. Raise InputError if there is not enough memory."""
         config, frame = self.config, inputs.frame
         height, width = frame.shape
         check_memory(config.peak_bytes(frame.shape), context.memory, f"{width} x {height} pixels")
         return self.refined(self.step or config.pipeline, frame, context, inputs.scale, inputs.rotate)
 
     def row(self, inputs: FrameInputs, result: RefinedDepth) -> Row:
-        """Return size, shares of the pixels by their status, the bound, and figures of the method."""
+        """Return size, shares of pixels by status, the bound, and figures of the method."""
         bits = [bit for bit in DEPTH_STATUS_HELP if bit not in (DepthStatus.KEPT, DepthStatus.SAMPLED)]
         row: Row = {
             "width": inputs.frame.shape[1],
@@ -185,11 +185,11 @@ class RefineKinect(DepthProblem[FrameOrSequence, FrameInputs, RefineKinectConfig
 
 
 def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
-    """Return a warning where no such sensor sees depths of codes, with the scale that would make them plausible."""
+    """Return warnings about depths that are implausible for the sensor, with a plausible scale."""
     codes = read_plane(scene.depth)
     if codes.dtype.kind not in "iu":
         return []
-    # The three low bits are free where codes are rotated by 3.
+    # Rotation by 3 bits leaves the three low bits free.
     is_image = scene.depth.suffix.lower() in IMAGE_SUFFIXES
     if not scene.rotated and is_image and np.mean((codes[codes > 0] & 7) == 0) > 0.5:
         return [f"{scene.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
@@ -217,26 +217,26 @@ def refine_depth(
     depth_to_color: tuple[ArrayLike, ArrayLike] | None = None,
     **fields: object,
 ) -> RefinedDepth | list[RefinedDepth]:
-    """Return the depth map of a Kinect or a sensor like it cleaned and completed, or a list of such maps.
+    """Return the cleaned and completed depth map of a Kinect or similar sensor, or a list of such maps.
 
-    ConfigError for an unknown preset, or keys and values that do not fit; InputError for arrays that are no images or
-    maps, or have no depth, sizes that differ while the cameras are not known, or too little memory.
+    Raise ConfigError for an unknown preset, unknown keys or invalid values; raise InputError for arrays that are no
+    images or maps, no known depth, different sizes without known cameras, or too little memory.
 
     Parameters
     ----------
-    color : (H, W, 3) RGB or (H, W) grey, as for :func:`depthcli.stereo`; None: there is depth alone, whose gaps are
-        filled and noise removed by geometry; or a list of the frames of a sequence
-    depth : (H, W), registered to the color image: floats are meters, integers millimeters, or both are ``depth_scale``
-        codes a meter if that is given; what is not a positive number is unknown. A smaller one of the same aspect
-        ratio is scaled. Or a list of as many
+    color : (H, W, 3) RGB or (H, W) grey, as for :func:`depthcli.stereo`; or a list with the frames of a sequence. If
+        None, gaps are filled and noise is removed by geometry alone
+    depth : (H, W), registered to the color image; or a list of the same length. Floats are meters and integers
+        millimeters, or both are codes if ``depth_scale`` (codes per meter) is given; numbers that are not positive are
+        unknown. A smaller map of the same aspect ratio is scaled
     preset : name of a preset of ``depthcli refine-kinect``, path of a YAML file, or a config. ``"sequence"`` carries
-        a state along a list; others refine each frame alone
-    overrides : config keys -> values, as ``--set`` has them
-    fb : focal length x baseline of the sensor, pixel meters; None: by the ``intrinsics``, else that of a Kinect
-    depth_intrinsics : fx, fy, cx, cy of the depth camera, pixels of ``depth``, of any size; with ``intrinsics``, those
-        of the color camera, the depth is registered to the color image. None: it is registered
+        state along a list; others refine each frame alone
+    overrides : config keys -> values, as in ``--set``
+    fb : focal length x baseline of the sensor, pixel meters; None: from the ``intrinsics``, or a Kinect's without them
+    depth_intrinsics : fx, fy, cx, cy of the depth camera, pixels of ``depth``, which may have any size. Together with
+        the color camera's ``intrinsics``, they register the depth to the color image. None: it is registered
     depth_to_color : rotation (3, 3) and translation (3,), meters, from the depth camera's frame to the color camera's;
-        None: both are at one place
+        None: both cameras have the same pose
     **fields : config keys that are Python names, such as ``intrinsics=(fx, fy, cx, cy)`` and ``depth_scale=5000``
 
     Examples

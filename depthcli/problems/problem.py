@@ -1,4 +1,4 @@
-"""What a command computes of a scene: ``SceneJob``, and ``Problem``, which loads, solves and writes."""
+"""The computation of a scene by a command: ``SceneJob``, and ``Problem``, which loads, solves and writes."""
 
 from __future__ import annotations
 
@@ -27,28 +27,28 @@ DEPTH_FILES = ("depth.pfm", "depth.png", "status.png", "preview.png", "bound.pfm
 
 
 class Shown(NamedTuple):
-    """How tables and pages show the results of a command."""
+    """How tables and pages show a command's results."""
 
     columns: tuple[Column, ...] = ()  # of the printed table, in addition to scene, status, seconds and memory
-    page_columns: tuple[Column, ...] | None = None  # shown on this page with its own; None: ``columns``
+    page_columns: tuple[Column, ...] | None = None  # columns on the HTML page; None: ``columns``
     palette: Palette | None = None  # colors of the status maps
-    legend: tuple[int, ...] | None = None  # combinations of status bits that ``status.txt`` lists
-    protocol: str = ""  # by which the page shows maps without truth
+    legend: tuple[int, ...] | None = None  # combinations of status bits to list in ``status.txt``
+    protocol: str = ""  # protocol for showing maps without ground truth
 
 
 class SceneJob(Job[SceneT]):
-    """The work of a command on its scenes, and what the command tells of it."""
+    """A command's work on its scenes, with its tables and messages."""
 
     shown: ClassVar[Shown] = Shown()
     writes: ClassVar[tuple[str, ...]] = ()
-    """Names, or patterns of these, of all files that a scene may have; none: not known."""
+    """Names or patterns of all files that a scene may have; empty if they are unknown."""
 
     def truth_scenes(self, scenes: Sequence[SceneT]) -> Sequence[Scene]:
-        """Return the scenes whose ground truth ``--evaluate`` compares the results with."""
+        """Return the scenes with the ground truth for ``--evaluate``."""
         return scenes
 
     def is_lower_bound(self, row: Row) -> bool:
-        """Return whether the errors in a row are lower bounds, which tables and the page show as ``> 14``."""
+        """Return whether a row's errors are lower bounds, shown as ``> 14``."""
         return False
 
     def notes(self, scenes: Sequence[SceneT], rows: Sequence[Row]) -> list[str]:
@@ -56,12 +56,12 @@ class SceneJob(Job[SceneT]):
         return []
 
     def problems(self, rows: Sequence[Row]) -> list[str]:
-        """Return what could not be done of scenes that are done, a line each; the exit code is 3 then."""
+        """Return one line per missing part of finished scenes; any line makes the exit code 3."""
         return []
 
 
 def check_keep(job: SceneJob[Any], keep: Sequence[str]) -> None:
-    """Raise ConfigError for a pattern of ``--keep`` that no file of the job can match, before anything is computed."""
+    """Raise ConfigError for a pattern of ``--keep`` that no file of the job can match."""
     has_details = isinstance(job.config, RootConfig) and any(getattr(p, "details", 0) for p in parts_of(job.config))
     if not job.writes or has_details or used_plugins(job.config):
         return
@@ -72,19 +72,19 @@ def check_keep(job: SceneJob[Any], keep: Sequence[str]) -> None:
 
 
 class Inputs(Protocol):
-    """What a problem is solved from, loaded from files or made of arrays."""
+    """The inputs of a problem, from files or arrays."""
 
     @property
     def warnings(self) -> Sequence[str]:
-        """What looks wrong with the inputs, a line each."""
+        """Warnings about the inputs, one line each."""
 
     @property
     def saving(self) -> Mapping[str, Any]:
-        """How the result is written: arguments of its ``save``."""
+        """Arguments for the result's ``save``."""
 
     @property
     def later(self) -> Callable[[Path], None] | None:
-        """What writes further files of the scene while it is solved; None: nothing does."""
+        """A function that writes further files while the problem is solved, or None."""
 
 
 class Solution(Protocol):
@@ -92,7 +92,7 @@ class Solution(Protocol):
 
     @property
     def warnings(self) -> Sequence[str]:
-        """What looks wrong with the result, a line each."""
+        """Warnings about the result, one line each."""
 
     def save(self, folder: str | Path) -> None:
         """Write the files of the result."""
@@ -103,36 +103,36 @@ ResultT = TypeVar("ResultT", bound=Solution)
 
 
 class Problem(SceneJob[SceneT], Generic[SceneT, InputsT, ResultT]):
-    """One problem, told once: its inputs, how it is solved, its result. Functions for Python call ``solve`` alone."""
+    """A problem: its inputs, solution and result. The Python functions call only ``solve``."""
 
-    model: ClassVar[type[RootConfig]]  # of its config
-    rows: ClassVar[Layouts[Any]]  # by which its scenes are found
+    model: ClassVar[type[RootConfig]]  # class of its config
+    rows: ClassVar[Layouts[Any]]  # layouts of its scenes
 
     @classmethod
     def ready(cls, config: Any) -> Self:
-        """Return the problem of a config; ConfigError or InputError where what the config names cannot be used."""
+        """Return the problem for a config. Raise ConfigError or InputError if a file or device in it is unusable."""
         return cls(config)  # type: ignore[call-arg]
 
     def units(self, scenes: Sequence[Any], reporter: Reporter) -> Sequence[SceneT]:
-        """Return what is computed at a time, of the scenes that were found."""
+        """Return the scenes to compute one at a time, e.g. sequences instead of frames."""
         return scenes
 
     @abstractmethod
     def load(self, scene: SceneT, context: Context) -> InputsT:
-        """Return the inputs from the files of a scene; InputError where they cannot be used."""
+        """Return the inputs from a scene's files. Raise InputError if they cannot be used."""
 
     @abstractmethod
     def solve(self, inputs: InputsT, context: Context) -> ResultT:
-        """Return the result; InputError where sizes do not fit, or the memory of the context does not suffice."""
+        """Return the result. Raise InputError if sizes differ or the context's memory is not enough."""
 
     @abstractmethod
     def row(self, inputs: InputsT, result: ResultT) -> Row:
-        """Return the columns of the report, in their order."""
+        """Return the report's columns in order."""
 
     def compute(self, scene: SceneT, folder: Path, context: Context) -> Outcome:
-        """Load a scene, solve it, write the result, and return its row of the report."""
+        """Load a scene, solve the problem, write the result, and return its row of the report."""
         inputs = self.load(scene, context)
-        with ThreadPoolExecutor(1) as side:  # which starts no thread before it has work
+        with ThreadPoolExecutor(1) as side:  # starts its thread only when it gets work
             writing = None if inputs.later is None else side.submit(inputs.later, folder)
             result = self.solve(inputs, context)
             if writing is not None:

@@ -1,4 +1,4 @@
-"""Pairs that a calibration rectifies, and the search range that the frames of a sequence share."""
+"""Rectify pairs with a calibration, and find the common search range of a sequence's frames."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, matc
 from depthcli.methods.stereo.view_matching import Points, match_views, row_error
 from depthcli.show.table import Row, number
 
-_MAX_ROW_ERROR = 1.0  # median row error of a calibrated pair, pixels; with more a scene has a warning
+_MAX_ROW_ERROR = 1.0  # largest median row error of a calibrated pair without a warning, pixels
 
 
 class Calibration(ConfigModel):
-    """A calibration of two cameras and how images are rectified by it; a file name may replace the whole section."""
+    """A calibration of two cameras, with options for rectification; a file name may replace the whole section."""
 
     files: tuple[str, ...] = Field(
         min_length=1,
@@ -73,16 +73,16 @@ class Calibration(ConfigModel):
 
     @property
     def reading(self) -> Reading:
-        """How the files are read."""
+        """Options for reading the files."""
         return Reading(self.unit, self.fisheye, self.cameras, self.alpha)
 
     def rig(self, size: tuple[int, int] | None = None) -> Rig:
-        """Read the two cameras, for images of a (width, height) if known; InputError where they cannot be read."""
+        """Return the two cameras, for images of ``size`` (width, height) if known. Raise InputError on failure."""
         return read_rig([Path(file) for file in self.files], self.reading, size)
 
 
 def reading_fields(unit: str | None, fisheye: bool, cameras: str | None, alpha: float | None) -> dict[str, Any]:
-    """Return the fields of a :class:`Calibration` that the options of these names give; ConfigError for wrong ones."""
+    """Return fields of :class:`Calibration` from the options with these names. Raise ConfigError for invalid values."""
     fields: dict[str, Any] = {"fisheye": True} if fisheye else {}
     fields |= {} if alpha is None else {"alpha": alpha}
     if unit is not None:
@@ -100,7 +100,10 @@ def reading_fields(unit: str | None, fisheye: bool, cameras: str | None, alpha: 
 
 
 def calibration_of(files: Sequence[Path], fields: Mapping[str, Any]) -> Calibration | None:
-    """Return the calibration in files, read as ``fields`` say; None for no file; ConfigError for three."""
+    """Return the calibration in one or two files, with options in ``fields``; None without files.
+
+    Raise ConfigError for more than two files, or options without files.
+    """
     names = [str(file.absolute()) for file in files]
     if len(names) > 2:
         raise ConfigError("--calibration: at most two files belong together")
@@ -110,15 +113,15 @@ def calibration_of(files: Sequence[Path], fields: Mapping[str, Any]) -> Calibrat
 
 
 def calibration_files(calibration: Calibration | None) -> dict[str, Path]:
-    """Return role -> file of a calibration; None has none."""
+    """Return role -> file of a calibration; empty for None."""
     names = () if calibration is None else calibration.files
     return {f"calibration_{k}": Path(name) for k, name in enumerate(names)}
 
 
 def rectified_rig(calibration: Calibration, left: NDArray[Any], right: NDArray[Any], latest: Latest) -> RectifiedRig:
-    """Return how images of these sizes are rectified; InputError where the calibration is not theirs.
+    """Return the rectification for images of these sizes. Raise InputError if the calibration does not fit them.
 
-    ``latest`` keeps it, with its maps, for the following images of the same sizes, until the files change.
+    ``latest`` keeps it, with its maps, for further images of the same sizes, until the files change.
     """
     sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
     key = calibration, file_states(*map(Path, calibration.files)), sizes
@@ -130,14 +133,14 @@ def rectified_rig(calibration: Calibration, left: NDArray[Any], right: NDArray[A
         return rig.rectified(*sizes, calibration.alpha), lines
 
     rig, lines = latest.get("rig", key, read)
-    for line in lines:  # which every pair gets, whichever is the first here
+    for line in lines:  # every pair gets the warnings, not only the first
         warn(line)
     return rig
 
 
 @dataclass(frozen=True, eq=False)
 class Rectified:
-    """Two views that a calibration rectified, with facts and warnings for the report."""
+    """Two views rectified with a calibration, with facts and warnings for the report."""
 
     left: Image  # with its colors
     right: Image
@@ -147,7 +150,7 @@ class Rectified:
 
     @classmethod
     def of(cls, calibration: Calibration, left: NDArray[Any], right: NDArray[Any], latest: Latest) -> Rectified:
-        """Return the views rectified; InputError where the calibration is not theirs."""
+        """Return the rectified views. Raise InputError if the calibration does not fit them."""
         rig = rectified_rig(calibration, left, right, latest)
         return cls(*rig.images(left, right)[:2], rig)
 
@@ -158,7 +161,7 @@ class Rectified:
 
 
 def rectified_scene(calibration: Calibration, scene: StereoScene, latest: Latest) -> Rectified:
-    """Return the rectified views; rows are compared but in later frames of a sequence, which have the same cameras."""
+    """Return the rectified views; rows are compared only in the first frame of a sequence."""
     views = load_views(scene)
     rectified = Rectified.of(calibration, *views, latest)
     facts, warnings = Row(), list[str]()
@@ -174,10 +177,10 @@ def rectified_scene(calibration: Calibration, scene: StereoScene, latest: Latest
 def sequence_range(
     calibration: Calibration | None, frames: Sequence[StereoScene], latest: Latest
 ) -> MatchedRange | None:
-    """Return the search range that frames of a sequence give together; None where too few pixels match in all.
+    """Return the common search range of a sequence's frames, or None if too few pixels match in every frame.
 
-    ``latest`` keeps it for the other frames of the sequence, until the files change. Frames in which too few
-    pixels match, or which cannot be read, do not count. Without a calibration the frames are rectified.
+    ``latest`` keeps it for the other frames of the sequence, until the files change. Frames with too few matches and
+    unreadable frames are ignored. Without a calibration, the frames must be rectified.
     """
 
     def pair_in(frame: StereoScene) -> StereoPair:
@@ -191,7 +194,7 @@ def sequence_range(
         for frame in frames:
             try:
                 one = matched_range(pair_in(frame))
-            except InputError:  # where no frame has a range, every one is on its own
+            except InputError:  # if no frame has a range, each frame reports its own problem
                 continue
             union = one if union is None else union.union(one)
         return union
@@ -202,9 +205,10 @@ def sequence_range(
 
 
 def metric_columns(geometry: PairGeometry, search: SearchRange | None, depth: float | None = None) -> Row:
-    """Return focal length (pixels), baseline (meters) and the range of depths (meters) that disparities stand for.
+    """Return focal length (pixels), baseline (meters) and the depth range (meters) of the disparities.
 
-    A smallest disparity of 0 or less has no largest depth. ``depth`` is the median of a map's.
+    There is no largest depth if the smallest disparity, plus the cameras' offset, is 0 or less. ``depth`` is a map's
+    median depth.
     """
     row: Row = {"focal": geometry.left.fx, "baseline": geometry.baseline}
     ends = {} if search is None else {"min_depth": search.max_disparity, "max_depth": search.min_disparity}
@@ -220,17 +224,17 @@ METRIC_COLUMNS = (
     number("max_depth", "{:.3g} m"),
     number("median_depth", "{:.3g} m"),
 )
-"""Of the printed table."""
+"""Columns of the printed table."""
 
 
 def row_errors(before: tuple[Points, Points], after: tuple[Points, Points]) -> Row:
-    """Return how far the rows of matched points are apart before and after they were moved."""
+    """Return the number of matched points and their row errors before and after rectification."""
     one, other = (None if math.isnan(error := row_error(*points)) else round(error, 4) for points in (before, after))
     return {"matches": len(before[0]), "row_error_before": one, "row_error": other}
 
 
 def calibration_warnings(rows: Row) -> list[str]:
-    """Return a warning where the rows of a pair are still apart after its calibration has rectified it."""
+    """Return a warning if a pair has a large row error after rectification."""
     if (rows["row_error"] or 0) <= _MAX_ROW_ERROR:
         return []
     return [

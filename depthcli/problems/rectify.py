@@ -1,4 +1,4 @@
-"""Rectify: both images of a pair rectified, by a calibration or by key points."""
+"""Rectify both images of a pair with a calibration or with key points."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ from depthcli.problems.rectified import (
 from depthcli.run.job import Outcome
 from depthcli.show.table import SIZE, Row, number, percent, share
 
-_MIN_SPREAD = 1.0  # of the disparities of a pair without calibration, pixels; with less a scene has a warning
+_MIN_SPREAD = 1.0  # smallest disparity spread of an uncalibrated pair without a warning, pixels
 
 
 @dataclass(frozen=True)
 class Rectify(SceneJob[StereoScene]):
-    """Rectifies pairs; ``calibration`` None: by their key points alone."""
+    """Rectify pairs, with key points alone if ``calibration`` is None."""
 
     command = "rectify"
     writes = ("left.png", "right.png", "calib.txt", "meta.json")
@@ -63,19 +63,19 @@ class Rectify(SceneJob[StereoScene]):
     calibration: Calibration | None
 
     def files(self, scene: StereoScene) -> dict[str, Path]:
-        """Return the files of the pair and of the calibration."""
+        """Return role -> file for the pair and the calibration."""
         return scene.input_files | calibration_files(self.calibration)
 
     def memory(self, scene: StereoScene) -> None:
-        """Return None, since it is little more than the images; InputError where the calibration cannot be read."""
+        """Return None, since little more than the images is needed. Raise InputError for an unreadable calibration."""
         if self.calibration is not None:
-            with collected_warnings():  # which computing says
+            with collected_warnings():  # compute() repeats them
                 self.calibration.rig(view_size(scene)[::-1] if scene.frame_number is None else None)
 
     def compute(self, scene: StereoScene, folder: Path, context: Context) -> Outcome:
-        """Rectify the pair, and find its search range.
+        """Rectify the pair and find its search range.
 
-        Frames of a video that a calibration rectifies have one search range, and rows are compared in the first alone.
+        Frames of a calibrated video share a search range, and only the first frame's rows are compared.
         """
         clock = context.clock
         clock.start("load")
@@ -91,7 +91,7 @@ class Rectify(SceneJob[StereoScene]):
             sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
             if sizes[0] != sizes[1]:
                 raise InputError(f"images of {sizes[0]} and {sizes[1]} pixels; without calibration they must agree")
-            assert points is not None  # calibrated videos alone go without
+            assert points is not None  # only calibrated videos have none
             rectified = rectify_uncalibrated(*points, sizes[0])
         *views, overlap = rectified.images(left, right)
         rows, warnings = Row(), list[str]()
@@ -115,12 +115,12 @@ class Rectify(SceneJob[StereoScene]):
             write_png(folder / f"{name}.png", view)
         meta: Row = {"source": f"rectified by depthcli from {scene.name}", **search}
         if self.calibration is None:
-            meta["uncalibrated"] = True  # which ``depth`` refuses
+            meta["uncalibrated"] = True  # makes ``depth`` raise an error
         write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
         return Outcome(row, clock.seconds, warnings)
 
     def _search_range(self, frames: tuple[StereoScene, ...], views: list[NDArray[Any]], latest: Latest) -> Row:
-        """Return the range of disparities that the frames together, or else the views, suggest."""
+        """Return the disparity range that all frames suggest; if there are none, the range of the views."""
         alike = views[0].shape == views[1].shape and views[0].dtype == views[1].dtype
         pair = StereoPair(*(views if alike else map(grey8, views)))
         shared = sequence_range(self.calibration, frames, latest) if frames else None
@@ -129,7 +129,7 @@ class Rectify(SceneJob[StereoScene]):
 
 
 def _flatness_warnings(left: Points, right: Points) -> list[str]:
-    """Return a warning where the disparities of matched points hardly differ; the points are those after warping."""
+    """Return a warning if the disparities of matched points hardly differ; the points are warped."""
     low, high = np.quantile(left[:, 0] - right[:, 0], (0.05, 0.95))
     if high - low >= _MIN_SPREAD:
         return []
@@ -147,7 +147,7 @@ def rectifier(
     alpha: float | None,
     cameras: str | None,
 ) -> Rectify:
-    """Return the job with the options of these names; ConfigError where they do not fit together."""
+    """Return the job with the options of these names. Raise ConfigError if they contradict each other."""
     files = tuple(calibration or ())
     if uncalibrated == bool(files):
         raise ConfigError("give --calibration FILE, or --uncalibrated")

@@ -1,4 +1,4 @@
-"""Register-confidence: the expected error of a registration, voxel by voxel, with a bound and the better match."""
+"""Estimate the error of a registration at every voxel, with an error bound and the better match."""
 
 from __future__ import annotations
 
@@ -50,15 +50,15 @@ from depthcli.show.table import Column, Row, number, percent, to_csv
 from depthcli.show.volumes import draw_volumes
 
 _USUAL = VolumeBound()
-_MAX_BORDER_SHARE = 0.2  # of best matches on the border of the search; above it, errors exceed the search range
-_WRONG_MM = 3.0  # the center of expected errors above it is reported
-_DECIMALS = {"confidence": 5, "probability": 5}  # in the table of landmarks; other columns have 4
+_MAX_BORDER_SHARE = 0.2  # share of best matches on the border of the search, beyond which errors exceed its range
+_WRONG_MM = 3.0  # expected errors above this count as large
+_DECIMALS = {"confidence": 5, "probability": 5}  # in the landmark table; other columns have 4
 _SUFFIXES = (".nii.gz", ".nii", ".mha", ".nrrd")
-_NUMBERED = re.compile(r"(.+)_\d+")  # name of a region whose label has no name
+_NUMBERED = re.compile(r"(.+)_\d+")  # name of a region with an unnamed label
 
 
 class RegisterConfidenceConfig(RootConfig):
-    """A pipeline and its parameters, side by side."""
+    """A pipeline with its parameters."""
 
     command: ClassVar[str] = "register-confidence"
 
@@ -76,68 +76,68 @@ class RegisterConfidenceConfig(RootConfig):
     )
 
     def peak_bytes(self, grid: Grid, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> int:
-        """Return an estimate of the peak memory of a pair that is loaded as ``shape`` voxels, bytes."""
-        # The pipeline's memory, and two volumes of 4 bytes a voxel.
+        """Return an estimate of the peak memory, in bytes, for a pair loaded as ``shape`` voxels."""
+        # The pipeline's memory and two volumes of 4 bytes per voxel.
         working = self.pipeline.peak_bytes(shape, spacing) + 8 * math.prod(shape)
-        reading = 6 * math.prod(grid.size)  # one whole volume, 2 bytes as stored and 4 converted
+        reading = 6 * math.prod(grid.size)  # one full-size volume: 2 stored bytes and 4 converted bytes per voxel
         return max(working, reading)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RegistrationConfidence:
-    """Expected errors of a registration, on the grid of the fixed volume."""
+    """Expected errors of a registration, on the fixed volume's grid."""
 
-    loaded: LoadedPair  # the pair as it was compared, maybe as means of blocks
-    details: RegistrationResult  # what the method returns, on its own grid of measured voxels
-    bounds: Mapping[str, NDArray[np.float32]]  # bound and probability on that grid; empty: the method gives none
+    loaded: LoadedPair  # the compared pair, possibly reduced to block means
+    details: RegistrationResult  # the method's results, on its own grid of measured voxels
+    bounds: Mapping[str, NDArray[np.float32]]  # bound and probability on that grid; empty if the method has none
     seconds: Mapping[str, float]  # stage -> time
-    warnings: tuple[str, ...] = ()  # what looks wrong, one line each
+    warnings: tuple[str, ...] = ()  # one line per warning
     neurological: bool = False  # pictures have the patient's right on the right
-    figure: str = "dark"  # paper of pictures, or "light"
-    slice_at: tuple[float, float, float] | None = None  # mm, LPS: where pictures show slices; None: the middle
+    figure: str = "dark"  # background of pictures, "dark" or "light"
+    slice_at: tuple[float, float, float] | None = None  # point of the slices in pictures, mm, LPS; None: the center
 
     @property
     def grid(self) -> Grid:
-        """Positions of the fixed volume's voxels, mm, in the LPS frame of ITK."""
+        """The fixed volume's grid, mm, in ITK's LPS frame."""
         return self.loaded.grid
 
     @cached_property
     def values(self) -> NDArray[np.float32]:
-        """(Z, Y, X) float32, mm: the expected error."""
+        """The expected error, (Z, Y, X) float32, mm."""
         return self._on_fixed_grid(self.details.expected_error)
 
     @cached_property
     def confidence(self) -> NDArray[np.float32]:
-        """(Z, Y, X) float32 in [0, 1]: exp(-expected error / 3 mm)."""
+        """The confidence exp(-expected error / 3 mm), (Z, Y, X) float32 in [0, 1]."""
         return self._on_fixed_grid(self.details.certainty)
 
     @cached_property
     def bound(self) -> NDArray[np.float32]:
-        """(Z, Y, X) float32, mm: a share ``level`` of the errors is not larger; InputError without one.
+        """The error bound, (Z, Y, X) float32, mm: a share ``level`` of errors is within it.
 
-        It is nowhere below the expected error, and infinite where it is open: from ``details.figures["reach"]`` on, as
-        far as matches were searched for.
+        It is at least the expected error. It is open (infinite) from ``details.figures["reach"]`` on, the distance of
+        the farthest searched match. Raise InputError if the method has no bound.
         """
         self._bounds("bound")
         return self._bound()
 
     @property
     def status(self) -> NDArray[np.uint8]:
-        """(Z, Y, X) uint8, bits of :class:`VolumeStatus`; InputError without a bound."""
+        """Bits of :class:`VolumeStatus`, (Z, Y, X) uint8. Raise InputError without a bound."""
         return _status_of(self.bound)
 
     @cached_property
     def probability(self) -> NDArray[np.float32]:
-        """(Z, Y, X) float32: of an error up to ``within`` mm; InputError without one."""
+        """The probability of an error up to ``within`` mm, (Z, Y, X) float32. Raise InputError without a bound."""
         return self._bounds("probability")
 
     @cached_property
     def shift(self) -> NDArray[np.float32]:
-        """(Z, Y, X, 3) float32, mm along x, y, z: where the match of a voxel lies; InputError without one."""
+        """The offset of each voxel's match, (Z, Y, X, 3) float32, mm along x, y, z. Raise InputError without one."""
         return self._shift()
 
     def at(self, points: ArrayLike) -> list[dict[str, float]]:
-        """Return position, confidence, expected error, and any shift, bound and probability, of points; a row for each.
+        """Return a row per point, with position, confidence, expected error, and any shift, bound and probability.
 
         The points are (N, 3) positions x, y, z, mm.
         """
@@ -161,11 +161,10 @@ class RegistrationConfidence:
         ]
 
     def save(self, folder: str | Path, suffix: str = ".nii.gz", landmarks: ArrayLike | None = None) -> None:
-        """Write the files that ``depthcli register-confidence`` writes for a scene, with the same bytes.
+        """Write the same files as ``depthcli register-confidence``; create the folder if needed.
 
-        The folder is created where it is missing; volumes have the suffix ``.nii.gz``, ``.nii``, ``.mha`` or ``.nrrd``;
-        landmarks, (N, 3) positions x, y, z, mm, are for the table ``points.csv``, where an open bound of a search of
-        14 mm is ``> 14``.
+        Volumes have the suffix ``.nii.gz``, ``.nii``, ``.mha`` or ``.nrrd``. Landmarks, (N, 3) positions x, y, z, mm,
+        give the table ``points.csv``, in which an open bound of a 14 mm search is ``> 14``.
         """
         if suffix not in _SUFFIXES:
             raise InputError(f"suffix: must be .nii.gz, .nii, .mha or .nrrd (got {suffix!r})")
@@ -194,7 +193,7 @@ class RegistrationConfidence:
     def _on_fixed_grid(
         self, values: NDArray[np.float32], first: int = 0, last: int | None = None
     ) -> NDArray[np.float32]:
-        """Return slices ``first`` .. ``last`` (None: all) of a map of the method, on the fixed volume's grid."""
+        """Return slices ``first`` up to ``last`` (None: all) of a map of the method, on the fixed volume's grid."""
         depth, height, width = self.grid.shape
         start_and_step = self.loaded.on_grid(self.details.start, self.details.step)
         shape = ((depth if last is None else last) - first, height, width)
@@ -205,12 +204,12 @@ class RegistrationConfidence:
         return self.details.figures.get("reach", math.inf)
 
     def _bound(self, first: int = 0, last: int | None = None) -> NDArray[np.float32]:
-        # Interpolated, then opened: infinity cannot be interpolated. Rounding puts no bound below the expected error.
+        # Bounds are opened after interpolation, since infinity cannot be interpolated.
         parts = (self.bounds["bound"], self.details.expected_error)
         return self._opened(*(self._on_fixed_grid(values, first, last) for values in parts))
 
     def _opened(self, bound: NDArray[np.float32], expected: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return bounds at any places, +inf where they are open."""
+        """Return bounds of at least the expected error, +inf where they are open."""
         bound = np.maximum(bound, expected)
         return np.where(bound >= bound.dtype.type(self._reach), np.float32(np.inf), bound)
 
@@ -234,7 +233,7 @@ class RegistrationConfidence:
         maps = {title: partial(at_voxels, values, result.start, result.step) for title, values in errors.items()}
         inside = body if pair.mask is None else pair.mask
         at = None
-        if self.slice_at is not None:  # the voxel of the volumes as they were loaded
+        if self.slice_at is not None:  # convert to voxels of the loaded volumes
             voxel, blocks = self.grid.to_index(np.array([self.slice_at]))[0], np.array(self.loaded.blocks)
             at = np.rint((voxel - (blocks - 1) / 2) / blocks).astype(int).tolist()
         light = self.figure == "light"
@@ -259,7 +258,7 @@ def _center(row: Row) -> str:
 
 
 def _error(key: str, form: str, title: str) -> Column:
-    """Return the column of an expected error, as ``> 14`` where it stops at the border of the search."""
+    """Return the column of an expected error, shown as ``> 14`` if the errors exceed the search range."""
     plain = number(key, form, title)
     return Column(title, lambda row: "> " * (key in row and _beyond_search(row)) + plain.cell(row))
 
@@ -282,10 +281,10 @@ _COLUMNS = (
 
 
 class VolumePair(NamedTuple):
-    """A registered pair in memory, with the files that it was loaded from."""
+    """A registered pair in memory, with its scene if it has one."""
 
     loaded: LoadedPair
-    scene: VolumePairScene | None = None  # whose regions have figures
+    scene: VolumePairScene | None = None  # has the regions for further figures
     saving: Mapping[str, Any] = {}
     warnings: Sequence[str] = ()
     later: None = None
@@ -293,7 +292,7 @@ class VolumePair(NamedTuple):
 
 @dataclass(frozen=True)
 class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
-    """Estimate the errors of registrations by a search around every voxel."""
+    """Estimate the errors of registrations with a search around every voxel."""
 
     command = "register-confidence"
     model = RegisterConfidenceConfig
@@ -313,7 +312,7 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
     config: RegisterConfidenceConfig
 
     def memory(self, scene: VolumePairScene) -> int:
-        """Estimate by the size in the header of the fixed volume."""
+        """Return an estimate from the header of the fixed volume."""
         return self.config.peak_bytes(*loaded_size(scene, self.config.pipeline.voxel_limit))
 
     def settings(self, scene: VolumePairScene) -> dict[str, str]:
@@ -321,7 +320,7 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
         return {"labels": f"{scene.labels}"} if scene.labels else {}
 
     def load(self, scene: VolumePairScene, context: Context) -> VolumePair:
-        """Return both volumes and the landmarks; a warning where the landmarks cannot be used."""
+        """Return both volumes and the landmarks, with a warning if the landmarks cannot be used."""
         context.clock.start("load")
         loaded = load_volumes(scene, self.config.field, self.config.pipeline.voxel_limit)
         warnings, points = [scene.lacks_for_truth] if scene.lacks_for_truth else [], None
@@ -332,7 +331,7 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
         return VolumePair(loaded, scene, {"suffix": written_suffix(scene.fixed), "landmarks": points}, warnings)
 
     def solve(self, inputs: VolumePair, context: Context) -> RegistrationConfidence:
-        """Return the expected errors; the clock books the stages, and ``other``."""
+        """Return the expected errors; the clock records the stages and ``other``."""
         config, loaded, clock = self.config, inputs.loaded, context.clock
         need = config.peak_bytes(loaded.grid, loaded.pair.shape, loaded.pair.spacing)
         check_memory(need, context.memory, f"{' x '.join(map(str, loaded.grid.size))} voxels", "max_voxels, iso")
@@ -360,7 +359,7 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
         return RegistrationConfidence(loaded, details, bounds, seconds, tuple(warnings), *shown)
 
     def row(self, inputs: VolumePair, result: RegistrationConfidence) -> Row:
-        """Return size, figures, and the figures of regions, whose masks are read one by one."""
+        """Return size, figures, and figures of regions; their masks are read one by one."""
         width, height, slices = result.grid.size
         row: Row = {"width": width, "height": height, "slices": slices, **result.details.figures}
         if inputs.scene is not None and inputs.scene.regions:
@@ -368,7 +367,7 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
         return row
 
     def is_lower_bound(self, row: Row) -> bool:
-        """Return whether the search ends before the errors do."""
+        """Return whether the errors exceed the search range."""
         return _beyond_search(row)
 
     def problems(self, rows: Sequence[Row]) -> list[str]:
@@ -377,7 +376,7 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
         return [f"{row['scene']}: left out, as a region: {value}" for row, value in cells if value]
 
     def notes(self, scenes: Sequence[VolumePairScene], rows: Sequence[Row]) -> list[str]:
-        """Return a line for each label map of which some pairs have the first label alone, so that it has no number."""
+        """Return a line for each label map whose region has a number in some pairs, but not in pairs with one label."""
         start = "region_volume_"
         regions = {str(row["scene"]): {key.removeprefix(start) for key in row if key.startswith(start)} for row in rows}
         masks = {scene.name: {name for name, _ in scene.regions} for scene in scenes if regions.get(scene.name)}
@@ -404,21 +403,21 @@ def registration_confidence(
     mask: Any = None,
     **fields: object,
 ) -> RegistrationConfidence:
-    """Return expected error, bound, confidence and shift of every voxel of a registration, from the registered volumes.
+    """Return expected error, bound, confidence and shift of a registration at every voxel.
 
-    ConfigError for an unknown preset, or keys and values that do not fit; InputError for volumes of different grids,
-    with values that are no numbers, or that are the same everywhere, or too little memory.
+    Raise ConfigError for an unknown preset, unknown keys or invalid values; raise InputError for volumes of different
+    grids, non-finite or constant values, or too little memory.
 
     Parameters
     ----------
-    fixed, warped : the fixed volume, and the moving one after registration on the same grid: (Z, Y, X) arrays, or
-        images of SimpleITK, which have their geometry with them
-    spacing : distance (z, y, x) of the voxels of arrays, mm: ``image.GetSpacing()[::-1]`` of SimpleITK
+    fixed, warped : the fixed volume, and the moving volume after registration on the same grid: (Z, Y, X) arrays, or
+        SimpleITK images, which contain their geometry
+    spacing : for arrays: voxel spacing (z, y, x), mm, as SimpleITK's ``image.GetSpacing()[::-1]``
     preset : name of a preset of ``depthcli register-confidence``, path of a YAML file, or a config
-    overrides : config keys -> values, as ``--set`` has them
-    origin : of arrays: position x, y, z of the first voxel, mm
-    direction : of arrays: (3, 3), whose columns are the axes x, y, z, as in ITK; None: the axes of the frame
-    mask : (Z, Y, X) or image, > 0 where voxels are of interest; None: all
+    overrides : config keys -> values, as in ``--set``
+    origin : for arrays: position x, y, z of the first voxel, mm
+    direction : for arrays: (3, 3), whose columns are the axes x, y, z, as in ITK; None: the identity
+    mask : (Z, Y, X) array or image, > 0 for voxels of interest; None: all
     **fields : config keys that are Python names, such as ``radius=4``
 
     Examples
@@ -457,9 +456,9 @@ def _volume(
     origin: tuple[float, float, float],
     direction: ArrayLike | None,
 ) -> tuple[Grid, NDArray[np.float32]]:
-    """Return grid and values of an array, or of an image of SimpleITK."""
+    """Return grid and values of an array or SimpleITK image."""
     axes = np.eye(3) if direction is None else np.asarray(direction, np.float64)
-    if all(hasattr(volume, method) for method in ("GetSpacing", "GetOrigin", "GetDirection")):  # of SimpleITK
+    if all(hasattr(volume, method) for method in ("GetSpacing", "GetOrigin", "GetDirection")):  # a SimpleITK image
         values = as_volume(simple_itk().GetArrayFromImage(volume), name)
         steps, first = volume.GetSpacing(), volume.GetOrigin()
         axes = np.reshape(volume.GetDirection(), (len(steps), len(steps)))
@@ -492,10 +491,10 @@ def bounds_of(
     table: ErrorTable,
     promise: VolumeBound,
 ) -> dict[str, NDArray[np.float32]]:
-    """Return bound, mm, and probability of the scores of a result, with its figures, by a table of errors in voxels.
+    """Return bound, mm, and probability for the scores of a result, from a table of errors in voxels.
 
-    They are those of the finest resolution whose usual bound does not end with its search; empty without scores. No
-    bound is below the expected error, and all from ``reach`` on are open: there the search ends.
+    They are from the finest resolution whose default bound is within its own search range. Bounds are at least the
+    expected error. The result is empty without scores.
     """
     bounds: dict[str, NDArray[np.float32]] = {}
     for k, score in reversed(list(enumerate(scores))):
@@ -512,18 +511,19 @@ def bounds_of(
 
 
 def _beyond_search(figures: Mapping[str, Any]) -> bool:
-    """Return whether so many of the best matches lie on the border of the search that its errors are lower bounds."""
+    """Return whether so many best matches are on the border of the search that its errors are lower bounds."""
     return float(figures.get("border", 0.0)) > _MAX_BORDER_SHARE
 
 
 def inside_figures(
     result: RegistrationResult, loaded: LoadedPair, bound: NDArray[np.float32] | None = None
 ) -> dict[str, float]:
-    """Return figures of the expected error in the mask, or else in the body; empty where no voxel lies there.
+    """Return figures of the expected error in the mask, or in the body without a mask; empty if there are no voxels.
 
-    They are ``inside_mean``, ``inside_95`` (quantile), ``inside_max``, mm; ``above_3mm``, mL of larger errors; where
-    there are any, ``above_x``, ``above_y`` and ``above_z``: center of their largest connected region, mm, LPS. Of a
-    bound ``inside_bound``, its median, mm, and ``at_reach``, the share of voxels where it is open.
+    They are ``inside_mean``, ``inside_95`` (quantile) and ``inside_max``, mm; ``above_3mm``, the volume of larger
+    errors, mL; and ``above_x``, ``above_y`` and ``above_z``, the center of their largest connected region, mm, LPS, if
+    there is one. With a bound, there are ``inside_bound``, its median, mm, and ``at_reach``, the share of voxels where
+    it is open.
     """
     pair, grid = loaded.pair, loaded.grid
     inside = pair.mask
@@ -555,10 +555,10 @@ def inside_figures(
 
 
 def _region_figures(result: RegistrationResult, loaded: LoadedPair, scene: VolumePairScene) -> dict[str, float | str]:
-    """Return figures of the expected error in the regions of a pair, such as organs.
+    """Return figures of the expected error in a pair's regions, such as organs.
 
-    They are ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm, and ``region_volume_NAME``, mL, alone
-    where a region has no voxel. ``region_error_NAME``: why a mask cannot be used; the others are measured all the same.
+    They are ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm, and ``region_volume_NAME``, mL. Regions without
+    voxels have only a volume. ``region_error_NAME`` is the reason if a mask cannot be used; the other masks are used.
     """
     figures: dict[str, float | str] = {}
     error = at_voxels(result.expected_error, result.start, result.step, loaded.pair.shape)
@@ -571,7 +571,7 @@ def _region_figures(result: RegistrationResult, loaded: LoadedPair, scene: Volum
                     figures.setdefault(f"region_error_{file}", twice)
                     continue
                 chosen = mask
-                if max(loaded.blocks) > 1:  # blocks half in the mask; of a small mask, the fullest blocks
+                if max(loaded.blocks) > 1:  # blocks at least half inside the mask; for a small mask, its fullest blocks
                     shares = block_means(mask, loaded.blocks)
                     chosen = (shares > 0) & (shares >= min(0.5, float(shares.max())))
                 errors = error[chosen]

@@ -1,4 +1,4 @@
-"""What a matched pair becomes: a disparity map, its metric depth, and colored points; and the files of results."""
+"""Results of matching: a disparity map, its metric depth and colored points; and the files of results."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from depthcli.show.table import to_csv
 from depthcli.show.view import View, draw
 
 Pixels = str | NDArray[np.bool_]
-"""Name of a choice of pixels, or (H, W) bool."""
+"""Name of a selection of pixels, or (H, W) bool."""
 
 
 def made(folder: Path | str) -> Path:
-    """Return the folder, created where it is missing; OutputError where that cannot be."""
+    """Return the folder; create it if needed. Raise OutputError on failure."""
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -49,7 +49,7 @@ def write_depth(
     rotate: int = 0,
     bound: NDArray[np.float32] | None = None,
 ) -> None:
-    """Write ``depth.pfm``, ``depth.png``, ``status.png``, ``preview.png``, and ``bound.pfm`` of a map in meters."""
+    """Write ``depth.pfm``, ``depth.png``, ``status.png``, ``preview.png`` and, if given, ``bound.pfm``."""
     write_pfm(folder / "depth.pfm", depth.values)
     write_depth_png(folder / "depth.png", depth.values, scale, rotate)
     write_status(folder / "status.png", depth.status)
@@ -59,12 +59,9 @@ def write_depth(
 def write_disparity(
     view: View, status: NDArray[np.uint8], folder: Path, probability: NDArray[np.float32] | None = None
 ) -> None:
-    """Write ``disp_left.pfm``, ``disp_left.png``, ``status.png`` and ``preview.png``.
-
-    And ``bound.pfm`` and ``probability.pfm``, where they are given.
-    """
+    """Write ``disp_left.pfm``, ``disp_left.png``, ``status.png``, ``preview.png``; also any bound and probability."""
     write_pfm(folder / "disp_left.pfm", view.values)
-    # The PNG has no code for what is negative: those pixels have no value there.
+    # The PNG has no codes for negative disparities, which become unknown there.
     write_disparity_png(folder / "disp_left.png", np.where(view.values < 0, np.float32(np.nan), view.values))
     write_status(folder / "status.png", status)
     _write_preview(folder, view)
@@ -79,7 +76,7 @@ def _write_preview(folder: Path, view: View) -> None:
 
 
 def write_details(result: Result, folder: Path) -> None:
-    """Write ``confidence_NAME.pfm`` and a picture of each confidence; tables as CSV; pictures as PNG, maps as PFM."""
+    """Write ``confidence_NAME.pfm`` and a picture of each confidence; tables as CSV; pictures as PNG or PFM."""
     for name, confidence in result.confidence.items():
         write_pfm(folder / f"confidence_{name}.pfm", confidence)
         write_drawn(folder / f"confidence_{name}.png", partial(draw, View(confidence), "confidence"))
@@ -93,7 +90,7 @@ def write_details(result: Result, folder: Path) -> None:
 
 
 def parse_mask(text: str) -> tuple[str, float, str]:
-    """Return kind, share and name of a mask as :func:`chosen_pixels` takes it; ConfigError for other texts."""
+    """Return kind, share and name of a mask for :func:`chosen_pixels`. Raise ConfigError for other texts."""
     kind, _, rest = text.partition(":")
     share, _, name = rest.partition(":")
     try:
@@ -108,11 +105,11 @@ def parse_mask(text: str) -> tuple[str, float, str]:
 def chosen_pixels(
     found: MatchedMap | DepthMap, mask: Pixels, confidence: Mapping[str, NDArray[np.float32]] | None = None
 ) -> NDArray[np.bool_]:
-    """Return the pixels of a map that a mask chooses, (H, W) bool.
+    """Return the pixels of a map that a mask selects, (H, W) bool.
 
-    ``confident:0.8:NAME`` chooses those of the measured ones at and above the quantile of a confidence; the name may be
-    left out where there is one only. ConfigError for other texts; InputError for an array of another shape or dtype,
-    and where no confidence has that name, or none is named and there are several.
+    ``confident:0.8:NAME`` selects the 80 % of measured pixels with the highest confidence; the name is optional if
+    there is only one confidence. Raise ConfigError for other texts, and InputError for an array of another shape or
+    dtype, an unknown name, or a missing name if there are several confidences.
     """
     if not isinstance(mask, str):
         if np.shape(mask) != found.values.shape or np.asarray(mask).dtype != np.bool_:
@@ -133,13 +130,13 @@ def chosen_pixels(
 
 
 def check_limits(near: float, far: float | None) -> None:
-    """Raise ConfigError where no depth lies between ``--near`` and ``--far``, meters; ``far`` None: no limit."""
+    """Raise ConfigError if no depth is between ``--near`` and ``--far``, meters; ``far`` None is no limit."""
     if far is not None and near >= far:
         raise ConfigError(f"--near {near:g}, --far {far:g}: no depth lies between them")
 
 
 def empty_cloud(depth: NDArray[np.float32], cloud: NDArray[np.bool_]) -> list[str]:
-    """Return a warning where none of the pixels ``cloud`` has a depth, else no line."""
+    """Return a warning if no pixel in ``cloud`` has a depth, otherwise an empty list."""
     known = np.isfinite(depth)
     if np.any(known & cloud):
         return []
@@ -153,7 +150,7 @@ def empty_cloud(depth: NDArray[np.float32], cloud: NDArray[np.bool_]) -> list[st
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PointCloud:
-    """Points in the frame of a camera: x right, y down, z forward."""
+    """Points in a camera's frame: x right, y down, z forward."""
 
     points: NDArray[np.float32]  # (N, 3), meters
     color: NDArray[np.uint8]  # (N, 3), RGB
@@ -168,7 +165,7 @@ class PointCloud:
         near: float = 0.0,
         far: float = math.inf,
     ) -> PointCloud:
-        """Return the points of a depth map's pixels from ``near`` to ``far``, meters, with the colors of its image."""
+        """Return the colored points of a depth map's pixels, from ``near`` to ``far`` meters."""
         chosen = chosen_pixels(found, mask) & found.valid & (found.values >= near) & (found.values <= far)
         return cls(camera.points(found.values, chosen), color8(image)[chosen])
 
@@ -179,12 +176,12 @@ class PointCloud:
         return f"PointCloud({len(self)} points)"
 
     def save(self, path: str | Path) -> None:
-        """Write the points as PLY, binary little endian; OutputError where that cannot be."""
+        """Write the points as binary little-endian PLY. Raise OutputError on failure."""
         write_points(path, self.points, self.color)
 
 
 class MapRepr:
-    """How a map in meters shows itself, in the console and in notebooks."""
+    """Text and picture of a map in meters, for the console and notebooks."""
 
     values: NDArray[np.float32]
 
@@ -207,17 +204,17 @@ class MapRepr:
 class Depth(MapRepr, MatchedMap):
     """Metric depth of a disparity map: ``values`` (H, W) float32, meters; ``status``, bits of :class:`Status`."""
 
-    camera: Intrinsics  # the left one
+    camera: Intrinsics  # the left camera
     left: Image
-    bound: NDArray[np.float32] | None = None  # of the error, meters, where the disparity map had one
+    bound: NDArray[np.float32] | None = None  # error bound, meters, if the disparity map has one
 
     def to_points(
         self, mask: Pixels = "measured", near: float = 0.0, far: float = math.inf, max_bound: float = math.inf
     ) -> PointCloud:
-        """Return the colored points of the pixels that ``mask`` chooses, from ``near`` to ``far`` meters.
+        """Return the colored points of the pixels that ``mask`` selects, from ``near`` to ``far`` meters.
 
         The mask is ``measured``, ``all``, or (H, W) bool. Points with a ``bound`` above ``max_bound`` meters are left
-        out; ConfigError where there is no bound.
+        out. Raise ConfigError for ``max_bound`` without a bound.
         """
         chosen = chosen_pixels(self, mask)
         if max_bound < math.inf:
@@ -227,41 +224,40 @@ class Depth(MapRepr, MatchedMap):
         return PointCloud.of(self, self.camera, self.left, chosen, near, far)
 
     def save(self, folder: str | Path, scale: float = MILLIMETERS) -> None:
-        """Write ``depth.pfm``, ``depth.png`` (``scale`` codes a meter), ``status.png`` and ``preview.png``.
+        """Write the same files as ``depthcli depth``, with ``scale`` codes per meter; create the folder if needed.
 
-        And ``bound.pfm``, where there is one. ``depthcli depth`` writes the same. The folder is created where it is
-        missing.
+        They are ``depth.pfm``, ``depth.png``, ``status.png``, ``preview.png`` and, with a bound, ``bound.pfm``.
         """
         write_depth(self, made(folder), scale, bound=self.bound)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Disparity(MapRepr, DisparityMap):
-    """The disparity map of a pair's left view.
+    """A disparity map of a pair's left view.
 
     ``values`` (H, W) are float32, pixels, NaN = no value; ``status`` (H, W) uint8 has bits of :class:`Status`, which
     ``measured``, ``filled``, ``occluded`` and ``mismatched`` read.
     """
 
-    left: Image  # the left image, rectified where a calibration was given; not a copy
-    search: SearchRange  # the disparities that were searched
-    details: StereoResult  # what the method returns beside the map: confidence, tables, pictures, figures
+    left: Image  # the left image, rectified if a calibration was given; not a copy
+    search: SearchRange  # the searched disparities
+    details: StereoResult  # the method's further results: confidence, tables, pictures, figures
     seconds: Mapping[str, float]  # stage -> time
-    warnings: tuple[str, ...] = ()  # what looks wrong, one line each
-    key_points: Mapping[str, int] = field(default_factory=dict)  # matches and their range, where an end was "auto"
-    rectified: Rectified | None = None  # the views as a calibration rectified them
-    # Where a bound was asked for, (H, W) float32: of the error, pixels, and the chance of a small error.
+    warnings: tuple[str, ...] = ()  # one line per warning
+    key_points: Mapping[str, int] = field(default_factory=dict)  # matches and their range, if an end was "auto"
+    rectified: Rectified | None = None  # the views, if a calibration rectified them
+    # If requested, error bound (pixels) and probability of a small error, (H, W) float32.
     bound: NDArray[np.float32] | None = None
     probability: NDArray[np.float32] | None = None
 
     @property
     def confidence(self) -> Mapping[str, NDArray[np.float32]]:
-        """Name of a measure -> (H, W) float32, higher is surer."""
+        """Name of a measure -> (H, W) float32, higher is more certain."""
         return self.details.confidence
 
     @property
     def geometry(self) -> PairGeometry | None:
-        """The cameras of the rectified views, where a calibration was given."""
+        """The cameras of the rectified views, or None without a calibration."""
         return None if self.rectified is None else self.rectified.rig.geometry
 
     def to_depth(
@@ -275,22 +271,22 @@ class Disparity(MapRepr, DisparityMap):
         mask: Pixels = "all",
         unit: str | None = None,
     ) -> Depth:
-        """Return the metric depth of the map; its ``bound`` is the wider side, behind the value, of that of the map.
+        """Return the metric depth of the map; its ``bound`` is the larger side, behind the surface, of the map's bound.
 
-        ConfigError for neither or both of file and numbers; InputError for a calibration that cannot be used, or is
-        for images of another shape.
+        Raise ConfigError if both or neither of file and numbers are given; raise InputError for a calibration that is
+        unusable or for images of another shape.
 
         Parameters
         ----------
-        calibration : calib.txt of Middlebury, ETH3D or ``depthcli rectify``, KITTI's projections, or a file, or two,
-            that ``depthcli rectify`` takes; instead of the numbers below. Neither is needed where the pair was
-            rectified by a calibration
+        calibration : calib.txt of Middlebury, ETH3D or ``depthcli rectify``, KITTI's projections, or one or two files
+            for ``depthcli rectify``; instead of the numbers below. Neither is needed if a calibration rectified the
+            pair
         focal, baseline : focal length, pixels, and distance of the cameras, meters
-        doffs : x of the right principal point minus that of the left one, pixels
-        principal_point : x and y of the left camera's, pixels; None: the center of the image
-        mask : ``all``, ``measured``, ``confident:0.8:NAME`` (the surest 80 % of the measured ones, by a measure of
-            ``confidence``), or (H, W) bool: the pixels that get a depth
-        unit : of the lengths in the file: m, cm, mm, or a length such as 24mm; None: the format's
+        doffs : x of the right principal point minus x of the left one, pixels
+        principal_point : x and y of the left camera's principal point, pixels; None: the image center
+        mask : the pixels that get a depth: ``all``, ``measured``, ``confident:0.8:NAME`` (the 80 % of measured pixels
+            with the highest ``confidence``), or (H, W) bool
+        unit : unit of lengths in the file: m, cm, mm, or a length such as 24mm; None: the format's unit
 
         Examples
         --------
@@ -319,14 +315,11 @@ class Disparity(MapRepr, DisparityMap):
     def to_points(
         self, calibration: str | Path | None = None, *, focal: float | None = None, baseline: float | None = None
     ) -> PointCloud:
-        """Return the colored points of the measured pixels; as ``to_depth(...).to_points()``, which has more choice."""
+        """Return the colored points of measured pixels; ``to_depth(...).to_points()`` has more options."""
         return self.to_depth(calibration, focal=focal, baseline=baseline).to_points()
 
     def save(self, folder: str | Path) -> None:
-        """Write the files that ``depthcli stereo`` and ``fuse`` write for a scene, with the same bytes.
-
-        The folder is created where it is missing.
-        """
+        """Write the same files as ``depthcli stereo`` and ``fuse``; create the folder if needed."""
         files = made(folder)
         write_disparity(replace(self._view(), bound=self.bound), self.status, files, self.probability)
         write_details(self.details, files)
@@ -347,7 +340,7 @@ def depth_of(
     mask: NDArray[np.bool_],
     bound: NDArray[np.float32] | None = None,
 ) -> Depth:
-    """Return the depth of the pixels ``mask`` of a disparity map; ``bound`` is of its error, pixels."""
+    """Return the depth of a disparity map's pixels in ``mask``; ``bound`` is its error bound, pixels."""
     values = np.where(mask, disparity.values, np.float32(np.nan))
     depth_bound = None if bound is None else geometry.depth_bound(values, bound)
     return Depth(geometry.depth(values), disparity.status, geometry.left, left, depth_bound)

@@ -1,4 +1,4 @@
-"""Sample: generated scenes, or a real one, with their ground truth."""
+"""Write generated scenes, or a real one, with their ground truth."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from depthcli.show.table import SIZE, percent
 from depthcli.simulate.samples import SAMPLE_KINDS, SampleScene, sample_scenes
 
 _BY_SCENE = frozenset({"count", "kind", "seed", "from_"})
-"""Options that choose scenes and change none beyond its settings."""
+"""Options that select scenes; scenes have them in their settings."""
 
 
 @dataclass(frozen=True)
 class Sample(SceneJob[SampleScene]):
-    """Writes scenes."""
+    """Write scenes."""
 
     command = "sample"
     shown = Shown((SIZE, percent("nonocc", "visible")))
@@ -28,7 +28,7 @@ class Sample(SceneJob[SampleScene]):
     config: Mapping[str, Any]
 
     def settings(self, scene: SampleScene) -> dict[str, str]:
-        """Return the facts that make the scene, apart from the config."""
+        """Return the scene's own settings, in addition to the config."""
         return {key: str(value) for key, value in scene.settings.items()}
 
     def compute(self, scene: SampleScene, folder: Path, context: Context) -> Outcome:
@@ -39,9 +39,9 @@ class Sample(SceneJob[SampleScene]):
 
 
 def sampled(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> tuple[Sample, list[SampleScene]]:
-    """Return the job that writes scenes of the kind that the options ``values`` name, and these scenes.
+    """Return the job and the scenes for the kind that the options ``values`` name.
 
-    ConfigError for several kinds, or options that the kind does not take or that do not fit together.
+    Raise ConfigError for several kinds, options that do not apply to the kind, or contradictory options.
     """
     kinds = [name for name in SAMPLE_KINDS if values.get(name)]
     if len(kinds) > 1:

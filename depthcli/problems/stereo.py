@@ -1,4 +1,4 @@
-"""Rectified pairs to disparity maps: configs, files and arrays, how they are matched, what reports and Python get."""
+"""Match rectified pairs: configs, inputs from files and arrays, matching, reports, and the Python functions."""
 
 from __future__ import annotations
 
@@ -54,10 +54,10 @@ from depthcli.run.resources import available_memory, check_memory
 from depthcli.show.table import SIZE, Row, median, number, percent, share
 from depthcli.show.view import STATUS_PALETTE
 
-_MAX_DISPARITY = 16383  # pixels, 14 bits: wider than the images that any method here can match
-_MIN_MEASURED_SHARE = 0.5  # of the pixels; with fewer a map has a warning
-# Shares of the measured pixels at an end of the search range. Above the first, a map has a warning. Of ranges that end
-# at three quarters of the largest disparity a third has fewer: above the second, the pair is asked for its own range.
+_MAX_DISPARITY = 16383  # pixels, 14 bits; no method here can match wider images
+_MIN_MEASURED_SHARE = 0.5  # share of measured pixels below which a map has a warning
+# Shares of measured pixels at an end of the search range. Above the first, a map has a warning. A third of the ranges
+# that end at 3/4 of the largest disparity stay below it; above the second, the pair's own range is estimated.
 _MAX_SHARE_AT_END, _MIN_SHARE_AT_END = 0.05, 0.01
 _REASONS = [int(bit) for bit in (Status.OCCLUDED, Status.MISMATCH, Status.OUT_OF_RANGE, Status.NO_DATA)]
 
@@ -65,7 +65,7 @@ _End = Annotated[int, Field(ge=-_MAX_DISPARITY, le=_MAX_DISPARITY)] | Literal["a
 
 
 class PairConfig(RootConfig):
-    """The common keys of the configs of all commands that match pairs."""
+    """The common config keys of all commands that match pairs."""
 
     max_disparity: _End = Field(
         None,
@@ -112,7 +112,7 @@ class PairConfig(RootConfig):
 
 
 class StereoConfig(PairConfig):
-    """The config of ``stereo``: a pipeline with its parameters, and the device that it runs on."""
+    """The config of ``stereo``: a pipeline with its parameters, and the device."""
 
     command: ClassVar[str] = "stereo"
 
@@ -126,7 +126,7 @@ PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
 
 def with_reading(config: PairConfigT, fields: Mapping[str, Any]) -> PairConfigT:
-    """Return the config with these fields of its calibration; ConfigError if it has no calibration."""
+    """Return the config with these fields set in its calibration. Raise ConfigError if it has no calibration."""
     if config.calibration is None:
         raise ConfigError(f"--{next(iter(fields))}: there is no calibration; give --calibration FILE, too")
     return config.model_copy(update={"calibration": config.calibration.model_copy(update=dict(fields))})
@@ -134,30 +134,30 @@ def with_reading(config: PairConfigT, fields: Mapping[str, Any]) -> PairConfigT:
 
 @dataclass(frozen=True, eq=False)
 class PairInputs:
-    """A pair, how it is matched, and the ends of its search range."""
+    """A pair with its matcher and the ends of its search range."""
 
     pair: StereoPair
     matcher: PairMatcher
-    ends: tuple[int | str, int | str | None]  # pixels or "auto"; the upper one None: as the pair itself suggests
-    sequence: MatchedRange | None = None  # what the frames of the pair's sequence say of the range
-    rectified: Rectified | None = None  # the views, where a calibration rectified them
+    ends: tuple[int | str, int | str | None]  # pixels or "auto"; upper end None: estimate both ends from the pair
+    sequence: MatchedRange | None = None  # the range from the frames of the pair's sequence
+    rectified: Rectified | None = None  # the views, if a calibration rectified them
 
     saving: ClassVar[Mapping[str, Any]] = {}
 
     @property
     def later(self) -> Callable[[Path], None] | None:
-        """What writes the rectified view and its calibration; None for a pair that was rectified before."""
+        """The function that writes the rectified view and its calibration; None without a calibration."""
         return None if self.rectified is None else self.rectified.save
 
     @property
     def warnings(self) -> Sequence[str]:
-        """What looks wrong with the calibration."""
+        """Warnings about the calibration."""
         return () if self.rectified is None else self.rectified.warnings
 
 
 @dataclass(frozen=True)
 class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
-    """Pairs to the maps of their left views; ``stereo`` and ``fuse`` differ in what matches a pair."""
+    """Compute maps of the left views of pairs; ``stereo`` and ``fuse`` differ in their matchers."""
 
     model: ClassVar[type[PairConfig]]
     rows = PAIRS
@@ -165,7 +165,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
     shown = Shown(
         (SIZE, *map(percent, ("density", "measured")), number("median_bound", "{:.3g} px"), *METRIC_COLUMNS),
         palette=STATUS_PALETTE,
-        # Each reason, alone and filled.
+        # Each reason, without and with a filled value.
         legend=(0, *_REASONS, *(bit | int(Status.FILLED) for bit in _REASONS)),
         protocol="middlebury-v2",
     )
@@ -174,33 +174,33 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
 
     @classmethod
     def ready(cls, config: PairConfigT) -> Self:
-        """Return the problem of a config; ConfigError or InputError where its calibration cannot be read."""
+        """Return the problem for a config. Raise ConfigError or InputError if its calibration cannot be read."""
         if config.calibration is not None:
-            with collected_warnings():  # which every pair has
+            with collected_warnings():  # every pair repeats them
                 config.calibration.rig()
         return cls(config)
 
     @abstractmethod
     def matcher(self, scene: StereoScene | None = None) -> PairMatcher:
-        """Return what matches the pair of a scene, or of arrays."""
+        """Return the matcher for a scene's pair, or for arrays."""
 
     def device(self) -> Device | None:
-        """Return the device to match on, None for the processor."""
+        """Return the device to match on, or None for the CPU."""
         return None
 
     def device_column(self) -> Row:
-        """Return the report's columns of the device."""
+        """Return the report's columns about the device."""
         return {}
 
     def limits(self, memory: int) -> Limits:
-        """Return where a pair may be matched, with at most ``memory`` bytes."""
+        """Return the limits for matching a pair with at most ``memory`` bytes."""
         return Limits(memory, self.config.tiles, self.config.tile_memory << 20, self.device())
 
     def ends(self, scene: StereoScene | None = None) -> tuple[int | str, int | str | None]:
-        """Return the ends of the range that the config, or else the scene, gives.
+        """Return the ends of the search range from the config or, by default, from the scene.
 
-        If neither gives the upper one it is "auto", or None for pairs that a calibration rectifies: then both ends
-        come from the pair itself.
+        If neither has an upper end, it is "auto". For pairs that a calibration rectifies it is None, and both ends are
+        estimated from the pair.
         """
         config = self.config
         low, top = config.min_disparity, config.max_disparity
@@ -211,10 +211,10 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         return low, "auto" if top is None and config.calibration is None else top
 
     def range_frames(self, scene: StereoScene) -> tuple[StereoScene, ...]:
-        """Return the frames of the scene's sequence that give its range together; none where they do not.
+        """Return the frames of the scene's sequence from which its range is estimated, or an empty tuple.
 
-        They give the range of pairs that a calibration rectifies, and of videos, but an end that the user calls "auto"
-        comes from each pair by itself.
+        Frames share a range in videos and in sequences that a calibration rectifies. If the user sets an end to "auto",
+        it is estimated from each pair alone.
         """
         config = self.config
         if config.max_disparity is not None or config.min_disparity == "auto" or scene.max_disparity is not None:
@@ -222,7 +222,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         return scene.sequence if config.calibration is not None or scene.frame_number is not None else ()
 
     def files(self, scene: StereoScene) -> dict[str, Path]:
-        """Return the files of the pair, the calibration that rectifies it, and the frames that give its range."""
+        """Return role -> file for the pair, its calibration, and the frames that give its range."""
         files = scene.input_files
         if self.config.calibration is not None:
             files |= calibration_files(self.config.calibration)
@@ -231,23 +231,26 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         return files
 
     def settings(self, scene: StereoScene) -> dict[str, str]:
-        """Return the search range, which may come from a file in the folder of the images."""
+        """Return the search range, which may come from a file next to the images."""
         low, top = self.ends(scene)
         return {"max_disparity": str(top), **({} if low == 0 else {"min_disparity": str(low)})}
 
     def memory(self, scene: StereoScene) -> int | None:
-        """Estimate by the left image's size; None if the range comes from the pair itself."""
+        """Return an estimate from the left image's size, or None if the range is estimated from the pair."""
         return self._bytes(scene) if all(isinstance(end, int) for end in self.ends(scene)) else None
 
     def memory_bound(self, scene: StereoScene) -> int | None:
-        """Estimate by the left image's size; None for programs, networks, devices and videos: these serve one scene."""
+        """Return an estimate from the left image's size; None for programs, networks, devices and videos.
+
+        These can compute only one scene at a time.
+        """
         alone = getattr(self.config, "device", "cpu") != "cpu" or scene.frame_number is not None
         if alone or any(isinstance(part, Network | Program) for part in parts_of(self.config)):
             return None
         return self._bytes(scene)
 
     def _bytes(self, scene: StereoScene) -> int:
-        """Estimate the bytes of matching a pair over its range, or over the widest one where that is not known."""
+        """Return an estimate of the bytes for matching a pair over its range, or over the widest possible range."""
         height, width = view_size(scene)
         low, top = self.ends(scene)
         low = low if isinstance(low, int) and top is not None else 1 - width
@@ -255,7 +258,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         return host_bytes(self.matcher(scene), (height, width), max(top - low, 1), self.limits(0))
 
     def load(self, scene: StereoScene, context: Context) -> PairInputs:
-        """Return the pair of a scene, rectified if a calibration is given, and its range."""
+        """Return a scene's pair, rectified if there is a calibration, with its range."""
         calibration, sequence, clock = self.config.calibration, None, context.clock
         matcher = self.matcher(scene)
         if frames := self.range_frames(scene):
@@ -273,7 +276,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         return PairInputs(pair, matcher, self.ends(scene), sequence, rectified)
 
     def take(self, left: ArrayLike, right: ArrayLike, context: Context) -> PairInputs:
-        """Return the pair of two arrays, rectified if a calibration is given."""
+        """Return the pair of two arrays, rectified if there is a calibration."""
         views, calibration = (as_image(left, "left"), as_image(right, "right")), self.config.calibration
         if calibration is None:
             return PairInputs(paired(*views, left), self.matcher(), self.ends())
@@ -282,9 +285,9 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         return PairInputs(pair, self.matcher(), self.ends(), rectified=rectified)
 
     def solve(self, inputs: PairInputs, context: Context) -> Disparity:
-        """Match the pair, and bound the errors of its map if the config asks for it.
+        """Match the pair, and compute the error bound if the config requests it.
 
-        InputError if too few pixels match for the range, or the memory is too little.
+        Raise InputError if too few pixels match to estimate the range, or there is not enough memory.
         """
         disparity = match_pair(inputs, self.limits(context.memory), context)
         if self.config.bound is None:
@@ -312,12 +315,12 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
 
     @staticmethod
     def _depths(rectified: Rectified, result: Disparity) -> Row:
-        """Return the report's columns of what the disparities of a rectified pair are in meters."""
+        """Return the report's columns with the metric properties of a rectified pair's disparities."""
         geometry = rectified.rig.geometry
         return metric_columns(geometry, result.search, median(geometry.depth(result.values)[result.valid]))
 
     def notes(self, scenes: Sequence[StereoScene], rows: Sequence[Row]) -> list[str]:
-        """Return a line with the search range of scenes for which neither the config nor their files give one."""
+        """Return a line about scenes whose search range neither the config nor their files give."""
         if self.config.max_disparity is not None or self.config.calibration is not None:
             return []
         unknown = {scene.name for scene in scenes if not scene.problem and scene.max_disparity is None}
@@ -334,7 +337,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
 
 
 def bound_columns(result: Disparity) -> Row:
-    """Return the report's columns of a bound: its median, and the mean probability of a value."""
+    """Return the report's columns about the bound: its median, and the mean probability of the values."""
     if result.bound is None or result.probability is None:
         return {}
     correct = result.probability[result.valid]
@@ -343,28 +346,28 @@ def bound_columns(result: Disparity) -> Row:
 
 @dataclass(frozen=True)
 class Stereo(Pairs[StereoConfig]):
-    """Pairs matched by a pipeline, here or on a device."""
+    """Match pairs with the configured pipeline, on the CPU or a device."""
 
     command = "stereo"
     model = StereoConfig
 
     @classmethod
     def ready(cls, config: StereoConfig) -> Self:
-        """Return the problem with its device found and its networks opened; ConfigError where that fails."""
+        """Return the problem with its device and open networks. Raise ConfigError on failure."""
         return cls(with_address(super().ready(config).config))
 
     def matcher(self, scene: StereoScene | None = None) -> PairMatcher:
-        """Return the pipeline."""
+        """Return the pipeline of the config."""
         return self.config.pipeline
 
     def device(self) -> Device | None:
-        """Return the device that the config names; None for the processor, and if the pipeline opens it itself."""
+        """Return the configured device; None for the CPU, or if the pipeline opens the device itself."""
         if self.config.device == "cpu" or not self.config.pipeline.uses_devices:
             return None
         return device.open_device(self.config.device)
 
     def device_column(self) -> Row:
-        """Return the device, where the config names one."""
+        """Return the device, if the config names one."""
         config, opened = self.config, self.device()
         if config.device == "cpu":
             return {}
@@ -377,9 +380,9 @@ class Stereo(Pairs[StereoConfig]):
 
 
 def match_pair(inputs: PairInputs, limits: Limits, context: Context) -> Disparity:
-    """Return the map of a pair; InputError where the range is empty, too few pixels match, or memory is short.
+    """Return the map of a pair. Raise InputError for an empty range, too few matches, or too little memory.
 
-    The clock of ``context`` books ``range``, where the range is found, the stages of the method, and ``other``.
+    The clock of ``context`` records ``range`` if the range is estimated, the stages of the method, and ``other``.
     """
     pair, clock = inputs.pair, context.clock
     if inputs.sequence is None and (inputs.ends[1] is None or "auto" in inputs.ends):
@@ -403,7 +406,7 @@ def match_pair(inputs: PairInputs, limits: Limits, context: Context) -> Disparit
 def _warnings(
     pair: StereoPair, search: SearchRange, key_points: Mapping[str, int], result: StereoResult, limits: Limits
 ) -> tuple[str, ...]:
-    """Return a line for each thing that looks wrong with a map."""
+    """Return one line for each doubtful property of a map."""
     found, warnings = result.disparity, []
     if partly_used(pair):
         warnings.append(f"samples of {pair.bits} bits in {pair.left.dtype} files; scaled accordingly")
@@ -441,7 +444,7 @@ def _warnings(
 
 
 def with_address(config: StereoConfig) -> StereoConfig:
-    """Return the config with the address of its device, and its networks opened there; ConfigError where one fails."""
+    """Return the config with its device's address and networks open there. Raise ConfigError on failure."""
     address = config.device
     try:
         if address != "cpu" and config.pipeline.uses_devices:
@@ -455,9 +458,9 @@ def with_address(config: StereoConfig) -> StereoConfig:
 
 
 def with_opened_networks(config: PairConfigT, address: str) -> PairConfigT:
-    """Return the config with its networks opened and checked; ConfigError where one cannot be used.
+    """Return the config with open and checked networks. Raise ConfigError if one cannot be used.
 
-    On a device other than CUDA's they run on the processor.
+    On devices other than CUDA, networks run on the CPU.
     """
     if not any(networks_in(config)):
         return config
@@ -471,18 +474,18 @@ def with_opened_networks(config: PairConfigT, address: str) -> PairConfigT:
 
 
 def partly_used(pair: StereoPair) -> bool:
-    """Return whether the samples have fewer bits than their type."""
+    """Return whether the samples have fewer bits than their dtype."""
     return pair.bits is not None and pair.bits < 8 * pair.left.dtype.itemsize
 
 
 def with_bound(disparity: Disparity, pair: StereoPair, promise: Bound, context: Context) -> Disparity:
-    """Return the map of a pair with its ``bound`` and ``probability``, which cost somewhat more than ``stereo fast``.
+    """Return the map of a pair with ``bound`` and ``probability``, which take somewhat longer than ``stereo fast``.
 
-    InputError where the memory does not suffice.
+    Raise InputError if there is not enough memory.
     """
     search = disparity.search
     shifted, width = search.shift(pair), disparity.values.shape[1]
-    # Where the range begins above 0, the first columns have no match at all.
+    # If the range begins above 0, the first columns have no match.
     first, top = max(search.min_disparity, 0), search.shifted_max_disparity
     values, filled = np.full(shifted.shape, np.nan, np.float32), np.zeros(shifted.shape, np.bool_)
     values[:, : width - first] = disparity.values[:, first:] - np.float32(search.min_disparity)
@@ -491,7 +494,7 @@ def with_bound(disparity: Disparity, pair: StereoPair, promise: Bound, context: 
     check_memory(peak_bytes(shifted.shape, top, 1), context.memory, size)
     probable, bounded = bounds(networks(), shifted, values, filled, top, promise.within, promise.level, context)
     known = np.isfinite(disparity.values)
-    # A value without a match may be any of the range.
+    # A value without a match may be anywhere in the range.
     bound = np.where(known, np.float32(max(top, 1)), np.float32(np.nan))
     probability = np.zeros(disparity.values.shape, np.float32)
     bound[:, first:] = np.where(known[:, first:], bounded[:, : width - first], np.float32(np.nan))
@@ -500,7 +503,7 @@ def with_bound(disparity: Disparity, pair: StereoPair, promise: Bound, context: 
 
 
 End = int | Literal["auto"] | None
-"""An end of the search range: pixels, "auto": as the pair itself says, or None: what the config says."""
+"""An end of the search range: pixels, "auto" (estimated from the pair), or None (from the config)."""
 
 
 def stereo(
@@ -511,22 +514,23 @@ def stereo(
     overrides: Overrides | None = None,
     **fields: object,
 ) -> Disparity:
-    """Return the map of a pair, rectified or, with ``calibration="stereo.yml"``, as the cameras took it.
+    """Return the disparity map of a rectified pair, or of an unrectified pair with ``calibration="stereo.yml"``.
 
-    ConfigError for an unknown preset, or keys and values that do not fit; InputError for images that cannot be matched,
-    too few matches where they say the range, or too little memory. ``warnings`` says what looks wrong with the map.
+    Raise ConfigError for an unknown preset, unknown keys or invalid values; raise InputError for images that cannot be
+    matched, too few matches to estimate the range, or too little memory. ``warnings`` lists doubtful properties of the
+    map.
 
     Parameters
     ----------
     left, right : (H, W) grey or (H, W, 3) RGB (OpenCV reads BGR: ``image[..., ::-1]``); uint8, uint16, or floats from
-        0 to 1. Where one is grey and the other in color, both become grey
-    max_disparity : largest disparity searched, pixels; "auto": as the pair itself says; None: what the config
-        says, else "auto", with a warning
+        0 to 1. If one is grey and the other color, both become grey
+    max_disparity : largest disparity to search, pixels; "auto": estimated from the pair; None: the config's or, if it
+        has none, "auto" with a warning
     preset : name of a preset of ``depthcli stereo``, path of a YAML file, or a config
-    overrides : config keys -> values, as ``--set`` has them, such as ``{"cost.window": 9}``
-    **fields : the same for keys that are Python names, such as ``min_disparity=-8``; ``bound=True``: the map then has a
-        ``bound`` of its errors and a ``probability``; or ``calibration``: a file, a list of files, or a mapping as in a
-        config; the map is then that of the rectified left image
+    overrides : config keys -> values, as in ``--set``, such as ``{"cost.window": 9}``
+    **fields : overrides for keys that are Python names, such as ``min_disparity=-8``. With ``bound=True``, the map has
+        ``bound`` and ``probability``. ``calibration`` is a file, a list of files, or a mapping as in a config; the map
+        then describes the rectified left image
 
     Examples
     --------
@@ -542,16 +546,16 @@ def stereo(
 
 
 class Matcher:
-    """Matches many pairs by one config: what :func:`matcher` returns. It may be called from several threads."""
+    """Match many pairs with one config; :func:`matcher` returns it. It may be called from several threads."""
 
     def __init__(self, problem: Pairs[Any]) -> None:
         self.config = problem.config
         self._problem, self._latest = problem, Latest()
-        # A device has one queue of work.
+        # A device has one queue, so that threads take turns.
         self._turn = contextlib.nullcontext() if problem.device() is None else threading.Lock()
 
     def __call__(self, left: ArrayLike, right: ArrayLike) -> Disparity:
-        """Return the map of a pair, which is given as for :func:`stereo`, with the same result and errors."""
+        """Return the map of a pair, with the same inputs, result and errors as :func:`stereo`."""
         context = Context(available_memory(), latest=self._latest)
         inputs = self._problem.take(left, right, context)
         disparity = replace(self._solved(inputs, context), rectified=inputs.rectified)
@@ -565,7 +569,7 @@ class Matcher:
             return self._problem.solve(inputs, context)
 
     def load_kernels(self) -> None:
-        """Match small pairs, grey and in color, so that the first pair of the user takes no longer than the next."""
+        """Match small grey and color pairs, so that the user's first pair takes no longer than the next."""
         method = self._problem.matcher()
         if isinstance(method, Program) or getattr(method, "volumes", None):
             return
@@ -578,5 +582,5 @@ class Matcher:
 
 
 def with_range(fields: dict[str, object], max_disparity: End) -> dict[str, object]:
-    """Return overrides of a config with the largest disparity, if one is given."""
+    """Return config overrides with the largest disparity, if it is given."""
     return fields if max_disparity is None else {**fields, "max_disparity": max_disparity}

@@ -1,4 +1,4 @@
-"""Depth of transparent objects, completed: ``transparent`` and ``complete_transparent``."""
+"""Complete the depth of transparent objects: ``transparent`` and ``complete_transparent``."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ Image = NDArray[Any]
 
 
 class TransparentConfig(DepthConfig):
-    """A pipeline and its parameters, side by side."""
+    """A pipeline with its parameters."""
 
     command: ClassVar[str] = "transparent"
 
@@ -55,13 +55,13 @@ class TransparentConfig(DepthConfig):
 
 @dataclass(frozen=True, eq=False)
 class GlassInputs:
-    """A frame with sparse depth, or with the infrared image that gives it."""
+    """A frame with sparse depth, a mask of objects, or an infrared image to match."""
 
     frame: SparseFrame | RgbIrFrame
-    stereo: CrossModal | None  # matches color and infrared; None: the frame has its sparse depth
+    stereo: CrossModal | None  # matches color and infrared; None: the frame has sparse depth or a mask
     camera: Intrinsics | None  # of the color image
     scale: float  # codes per meter of depth.png
-    rotate: int = 0  # bits that the codes are rotated left by
+    rotate: int = 0  # bits by which the codes are rotated left
 
     saving: ClassVar[Mapping[str, Any]] = {}
     later: ClassVar[Callable[[Path], None] | None] = None
@@ -70,7 +70,7 @@ class GlassInputs:
 
 @dataclass(frozen=True)
 class Transparent(DepthProblem[RgbdScene, GlassInputs, TransparentConfig]):
-    """Dense depth of frames with transparent objects."""
+    """Compute dense depth of frames with transparent objects."""
 
     command = "transparent"
     model = TransparentConfig
@@ -94,7 +94,7 @@ class Transparent(DepthProblem[RgbdScene, GlassInputs, TransparentConfig]):
     )
 
     def files(self, scene: RgbdScene) -> dict[str, Path]:
-        """Return the files of the frame, and of its sparse depth unless that comes from stereo."""
+        """Return role -> file for the frame, and for its sparse depth or mask if the config uses them."""
         sparse = {"sparse": scene.sparse, "sparse_confidence": scene.sparse_confidence}
         if self.by_mask:
             sparse = {"objects": scene.masks.get(TRANSPARENT)}
@@ -103,17 +103,17 @@ class Transparent(DepthProblem[RgbdScene, GlassInputs, TransparentConfig]):
 
     @property
     def by_mask(self) -> bool:
-        """True where the mask of the objects is an input."""
+        """Whether the mask of objects is an input."""
         return self.config.stereo is None and self.config.pipeline.needs == "objects"
 
     def truth_scenes(self, scenes: Sequence[RgbdScene]) -> Sequence[RgbdScene]:
-        """Return the frames, without the source of a sparse depth that is not read."""
+        """Return the frames, without the source of sparse depth if it is not used."""
         read = self.config.stereo is None and not self.by_mask
         scenes = [scene.with_scale(self.config.depth_scale) for scene in scenes]
         return scenes if read else [replace(scene, sparse_source="") for scene in scenes]
 
     def settings(self, scene: RgbdScene) -> dict[str, str]:
-        """Return the scale of the depth, and the largest disparity of color and infrared image."""
+        """Return the scale of the depth, and the largest disparity of the color and infrared images."""
         scale, max_disparity = (
             scene.with_scale(self.config.depth_scale).depth_scale,
             getattr(scene, "max_disparity", None),
@@ -122,15 +122,15 @@ class Transparent(DepthProblem[RgbdScene, GlassInputs, TransparentConfig]):
         return found | ({"camera": str(scene.intrinsics)} if self.config.ply else {})
 
     def memory(self, scene: RgbdScene) -> int:
-        """Return an estimate of the peak memory once the sparse depth is known, bytes."""
+        """Return an estimate of the peak memory, in bytes, without matching color and infrared."""
         return self.config.pipeline.peak_bytes(frame_size(scene))
 
     def memory_bound(self, scene: RgbdScene) -> int | None:
-        """Return the estimate, or None if the color and infrared images are matched first."""
+        """Return the estimate, or None if color and infrared are matched."""
         return self.memory(scene) if self.config.stereo is None else None
 
     def load(self, scene: RgbdScene, context: Context) -> GlassInputs:
-        """Return the frame of a scene with its sparse depth, its mask of objects, or its infrared image."""
+        """Return a scene's frame with its sparse depth, mask of objects, or infrared image."""
         context.clock.start("load")
         config, stereo = self.config, self.config.stereo
         intrinsics = config.intrinsics or scene.intrinsics
@@ -150,9 +150,9 @@ class Transparent(DepthProblem[RgbdScene, GlassInputs, TransparentConfig]):
         return GlassInputs(frame, stereo, camera, scene.depth_scale or MILLIMETERS, 3 if scene.rotated else 0)
 
     def solve(self, inputs: GlassInputs, context: Context) -> RefinedDepth:
-        """Match color and infrared if there is no sparse depth, and complete the frame.
+        """Match color and infrared if the config has stereo, and complete the frame.
 
-        InputError where the memory does not suffice.
+        Raise InputError if there is not enough memory.
         """
         config, stereo, frame = self.config, inputs.stereo, inputs.frame
         shape = frame.depth.shape[0], frame.depth.shape[1]
@@ -177,7 +177,7 @@ class Transparent(DepthProblem[RgbdScene, GlassInputs, TransparentConfig]):
         return replace(depth, camera=inputs.camera or depth.camera, warnings=warnings)
 
     def row(self, inputs: GlassInputs, result: RefinedDepth) -> Row:
-        """Return size, shares of the pixels by the source of their depth, the bound, and figures of the method."""
+        """Return size, shares of pixels by source of depth, the bound, and figures of the method."""
         frame = result.frame
         assert isinstance(frame, SparseFrame)
         row: Row = {
@@ -212,23 +212,23 @@ def complete_transparent(
     fb: float | None = None,
     **fields: object,
 ) -> RefinedDepth:
-    """Return depth completed at transparent objects, from sparse depth or stereo of the color and an infrared image.
+    """Return depth completed at transparent objects, from sparse depth, a mask, or stereo of color and infrared.
 
-    ConfigError for an unknown preset, or keys and values that do not fit; InputError for arrays that are no images or
-    maps, or differ in size, where what the preset needs is missing, or with too little memory.
+    Raise ConfigError for an unknown preset, unknown keys or invalid values; raise InputError for arrays that are no
+    images or maps or differ in size, missing inputs of the preset, or too little memory.
 
     Parameters
     ----------
     color, depth : as for :func:`depthcli.refine_depth`
     sparse : (H, W), a second measurement in the same unit, known at some pixels
-    preset : name of a preset of ``depthcli transparent``, path of a YAML file, or a config; None: ``"sparse"`` where
-        ``sparse`` is given, ``"sensor"`` where ``objects`` are, else ``"kinect"``
-    overrides : config keys -> values, as ``--set`` has them
-    sparse_confidence : (H, W) floats, higher is surer; None: all alike
-    objects : (H, W), not 0 at transparent objects, for ``"sensor"``, which continues what surrounds them
+    preset : name of a preset of ``depthcli transparent``, path of a YAML file, or a config; None: ``"sparse"`` with
+        ``sparse``, ``"sensor"`` with ``objects``, otherwise ``"kinect"``
+    overrides : config keys -> values, as in ``--set``
+    sparse_confidence : (H, W) floats, higher is more certain; None: all pixels are equal
+    objects : (H, W), not 0 at transparent objects, for ``"sensor"``, which continues their surroundings
     infrared : (h, w) grey image of a second camera, for presets with stereo
     calibration : file of both cameras, JSON or OpenCV's YAML; None: the images are a rectified pair
-    fb : focal length x baseline of the rectified pair, pixel meters; with ``sparse``, that of the sensor
+    fb : focal length x baseline of the rectified pair, pixel meters; with ``sparse``, the sensor's
     **fields : config keys that are Python names, such as ``depth_scale=4000``
 
     Examples
@@ -251,7 +251,7 @@ def complete_transparent(
         image = as_color8(color, "color")
         height, width = image.shape[:2]
         measured = as_depth(depth, "depth", config.depth_scale, (height, width))
-        floats = np.asarray(depth).dtype.kind == "f"  # beside codes of the sensor, other floats are meters
+        floats = np.asarray(depth).dtype.kind == "f"  # if the sensor has codes, sparse floats are meters
         second = None
         if sparse is not None and not config.stereo:
             second = as_depth(sparse, "sparse", config.depth_scale, measured.shape, floats)

@@ -1,6 +1,6 @@
-"""Run a command over many scenes: skip finished scenes, compute the rest, record, report. Knows no algorithm.
+"""Run a command over many scenes: skip finished scenes, compute the rest, record, report.
 
-The life of a scene, from :func:`depthcli.run.runner.run_scenes`, which gets a ``Job`` and its scenes from a command:
+:func:`depthcli.run.runner.run_scenes` gets a ``Job`` and its scenes from a command:
 
 1. ``folder`` locks the run folder, writes ``run.yaml``, or refuses the folder of another config.
 2. ``runner`` digests every file that the scene depends on. If ``record.json`` of the scene (``records``) has the
@@ -10,7 +10,7 @@ The life of a scene, from :func:`depthcli.run.runner.run_scenes`, which gets a `
    files to ``<run folder>/<scene>``, the record last. Any failure becomes a row with its reason.
 5. ``runner`` writes ``report.json`` and ``report.csv`` from the records, whenever a process of the run ends.
 
-A kill at any moment leaves files that one of these steps recognizes when the same command is started again.
+If a run is killed, the same command recognizes its files and resumes.
 
 Others: ``job`` is the interface of a command, ``console`` the output on the terminal, ``resources`` cores and memory,
 ``flags`` the conditions of ``--flag``.

@@ -1,4 +1,4 @@
-"""Scenes computed by the workers of a dask.distributed cluster."""
+"""Compute scenes on the workers of a dask.distributed cluster."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ from depthcli.run.workers import counted, report_compilation, use_threads
 from depthcli.show.table import Row
 
 _CONNECT_TIMEOUT = "20s"
-_RUNNING_FILE = "goes-on"  # in the hidden folder of a run; workers stop when it is gone
-_lock = threading.Lock()  # threads of one worker share kernels and buffers
+_RUNNING_FILE = "goes-on"  # in a run's hidden folder; workers stop when it is removed
+_lock = threading.Lock()  # the threads of a worker share kernels and buffers
 
 
 def compute_on_cluster(
     tasks: Iterable[Task], work: Work, reporter: Reporter, workspace: Path
 ) -> Generator[Row, None, None]:
-    """Yield the rows of the tasks, computed by the workers of a dask.distributed cluster, as they are finished.
+    """Yield the rows of the tasks as the workers of a dask.distributed cluster finish them.
 
-    The workers must have the same file system at the same paths. A scene whose worker dies is computed by another one.
+    The workers must have the same file system at the same paths. If a worker dies, another one computes its scene.
 
     Raises
     ------
     ConfigError
-        No dask.distributed, no scheduler at that address, or workers with another depthcli or another file system.
+        If dask.distributed or a scheduler at the address is missing, or workers have another depthcli or file system.
     IncompleteError
-        The connection to the scheduler was lost.
+        If the connection to the scheduler is lost.
     """
     address = work.how.scheduler or ""
     lost = f"{address}: the scheduler was lost; {GOES_ON}"
@@ -57,7 +57,7 @@ def compute_on_cluster(
     identity, folder = _identity_here(work), os.getcwd()
     try:
         while True:
-            with contextlib.suppress(OSError, TimeoutError):  # the scheduler was just lost
+            with contextlib.suppress(OSError, TimeoutError):  # the scheduler may just have been lost
                 found = len(client.scheduler_info(n_workers=-1)["workers"])
                 if n_workers < 0:
                     reporter.info(f"{found} workers at {address}" + ("" if found else "; waiting for some"))
@@ -69,7 +69,7 @@ def compute_on_cluster(
                 running[client.submit(_compute_there, modules, data, pure=False)] = task
             if not running:
                 return
-            with contextlib.suppress(Exception):  # nothing has ended yet, or the scheduler is lost
+            with contextlib.suppress(Exception):  # nothing is finished yet, or the scheduler is lost
                 wait(list(running), timeout=1, return_when="FIRST_COMPLETED")
             for future in [future for future in running if future.status in ("finished", "error")]:
                 task = running.pop(future)
@@ -90,7 +90,7 @@ def compute_on_cluster(
                 yield row
             if client.status != "running":
                 raise IncompleteError(lost)
-    except (OSError, CancelledError) as error:  # of any call of the client; of a future whose scheduler is gone
+    except (OSError, CancelledError) as error:  # any call of the client; a future without scheduler
         raise IncompleteError(lost) from error
     finally:
         (workspace / _RUNNING_FILE).unlink(missing_ok=True)
@@ -108,23 +108,23 @@ def _connected(address: str) -> tuple[Any, Any]:
         from distributed.comm.addressing import resolve_address
     except ImportError as error:
         raise ConfigError(f"--scheduler needs dask.distributed: pip install 'depthcli[cluster]' ({error})") from error
-    for name in [*logging.root.manager.loggerDict, "asyncio"]:  # problems are reported in one line
+    for name in [*logging.root.manager.loggerDict, "asyncio"]:  # depthcli reports problems in one line
         if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     dask.config.set({"distributed.comm.timeouts.connect": "10s"})
     client = distributed.Client.__new__(distributed.Client)
     try:
-        resolve_address(address)  # an address without port or host would be tried for long
+        resolve_address(address)  # fails at once without port or host; a client would retry for long
         distributed.Client.__init__(client, address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
-        client.status = "closed"  # its destructor would wait for what never began
+        client.status = "closed"  # otherwise its destructor would wait
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ConfigError(f"--scheduler {address}: no scheduler answers there ({reason})") from error
     return client, distributed.wait
 
 
 def _compute_there(modules: Iterable[str], data: bytes) -> tuple[Row, int, float]:
-    """Compute a scene on a worker of a cluster; return its row, the number of compiled kernels and their seconds."""
+    """Compute a scene on a cluster's worker; return its row, the number of compiled kernels, and their seconds."""
     from distributed import get_worker
 
     worker = get_worker()
@@ -142,24 +142,24 @@ def _compute_there(modules: Iterable[str], data: bytes) -> tuple[Row, int, float
         )
     with _lock, CompileWatch(lambda _: None) as watch:
         running = Path(folder, task.hidden.parent, _RUNNING_FILE)
-        if not running.exists():  # or the run has ended meanwhile
+        if not running.exists():  # it is also missing if the run has ended
             raise ConfigError(f"worker {worker.address} does not see {running}; all need a common file system")
         os.chdir(folder)  # paths may be relative to where the run was started
         use_threads(work.how.threads or worker.state.nthreads)
-        # A worker that was believed to be dead may still compute the scene in its own folder.
+        # A worker that seemed dead may still compute the scene in its own folder.
         own = replace(task, hidden=task.hidden.with_name(f"{task.hidden.name}-{os.getpid()}-{time.time_ns():x}"))
         limit = work.how.max_memory or resources.available_memory()
-        latest = worker.__dict__.setdefault("depthcli_latest", Latest())  # for as long as the worker lives
+        latest = worker.__dict__.setdefault("depthcli_latest", Latest())  # kept as long as the worker lives
         return counted(partial(compute_scene, own, work, limit, latest), watch)
 
 
 def _identity_here(work: Work) -> str:
-    """Return a digest of the run with the versions, and of the sources of depthcli, of this process."""
+    """Return the run's identity with this process's versions, and a digest of depthcli's sources."""
     return digest(work.text.encode()) + _sources()
 
 
 @cache
-def _sources() -> str:  # once a process: code that was loaded stays when its file changes
+def _sources() -> str:  # cached, since loaded code stays when its file changes
     folder = Path(__file__).parent.parent
     files = sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".cl", ".json"))
     return digest("".join(f"{path.relative_to(folder)} {file_digest(path)}" for path in files).encode())

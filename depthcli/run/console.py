@@ -1,4 +1,4 @@
-"""Output on the terminal: messages and progress. Data go to stdout, everything else to stderr."""
+"""Terminal output: data on stdout, messages and progress on stderr."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from depthcli.core.errors import IncompleteError
 from depthcli.core.text import kind_of_warning, printable, without_file
 
 _HEARTBEAT = 30.0  # seconds between lines without a terminal
-_PROGRESS = 5.0  # the same, while nothing else can be said
+_PROGRESS = 5.0  # the same for progress within a scene
 
 
 def silence_warnings() -> None:
-    """Hide warnings of libraries, which quote code that a user does not know; ``python -W`` shows them."""
+    """Hide warnings of libraries, which quote code; ``python -W`` shows them."""
     if not sys.warnoptions:
         warnings.showwarning = lambda *warning, **place: None
 
 
 @dataclass(eq=False)
 class Reporter:
-    """Prints messages and progress on stderr and data on stdout.
+    """Print messages and progress on stderr and data on stdout.
 
-    The computation continues when the reader of either has closed it. ``level`` is -1: only errors, 0: also messages,
-    1: also details. ``command_line`` has the words of this call as a shell takes them, for reports.
+    The computation continues if either is closed. ``level`` is -1 for errors only, 0 for messages, too, and 1 for
+    details, too. ``command_line`` is this call, quoted for a shell, for reports.
     """
 
     level: int = 0
@@ -69,12 +69,12 @@ class Reporter:
             self.error(text)
 
     def data(self, text: str) -> None:
-        """Print ``text`` on stdout, or nothing where its reader has closed it (``| head``).
+        """Print ``text`` on stdout, or nothing if its reader has closed it (``| head``).
 
         Raises
         ------
         IncompleteError
-            It cannot be written for another reason, such as a full disk.
+            If it cannot be written for another reason, such as a full disk.
         """
         try:
             print(text, end="" if text.endswith("\n") else "\n", flush=True)
@@ -93,7 +93,7 @@ class Reporter:
                 from tqdm import tqdm
 
                 bar: dict[str, Any] = {"total": total, "initial": done, "unit": "scene", "file": sys.stderr}
-                tqdm.monitor_interval = 0  # without its thread processes can be forked
+                tqdm.monitor_interval = 0  # its thread would prevent forks
                 self._bar = tqdm(desc=what, **bar, leave=False, dynamic_ncols=True, mininterval=0.2)
         try:
             yield
@@ -117,7 +117,7 @@ class Reporter:
             self.info(f"{self._what}: {self._done} of {self._total} scenes{failures}")
 
     def progress(self, text: str, seconds: float) -> None:
-        """Show how far a scene is: beside the bar on a terminal, in a line every few seconds elsewhere."""
+        """Show the progress within a scene: next to the bar on a terminal, as a line every few seconds elsewhere."""
         if self._bar is not None:
             with contextlib.suppress(OSError, ValueError):
                 self._bar.set_postfix_str(f"{text}, {seconds:.0f} s")
@@ -127,20 +127,20 @@ class Reporter:
 
     @staticmethod
     def close(stream: TextIO) -> None:
-        """Send the interpreter's last flush of a stream to the null device, where it cannot fail."""
+        """Redirect a stream to the null device, so that the interpreter's last flush cannot fail."""
         with contextlib.suppress(OSError, ValueError, AttributeError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 @dataclass(eq=False)
 class WarningCounts:
-    """Prints the warnings of scenes: one line a kind (up to numbers and files), and how many scenes have it."""
+    """Print one warning of each kind (up to numbers and files), and the number of scenes that have it."""
 
     _reporter: Reporter
     _kinds: dict[str, tuple[str, int]] = field(default_factory=dict)  # the text of the first one, and how many scenes
 
     def add(self, scene: str, lines: Sequence[str]) -> None:
-        """Take the warnings of a scene; with ``-v`` each is printed."""
+        """Add the warnings of a scene; ``-v`` prints all of them."""
         of_scene: dict[str, str] = {}
         for line in lines:
             text = without_file(line)
@@ -154,7 +154,7 @@ class WarningCounts:
             self._kinds[kind] = text, count + 1
 
     def close(self) -> None:
-        """Print how many scenes have the warnings that not all were printed of."""
+        """Print the number of scenes for each kind of warning that several scenes have."""
         for text, count in self._kinds.values():
             if count > 1:
                 self._reporter.info(f"warning: {text} ({count} scenes; -v names each)")

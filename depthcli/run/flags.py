@@ -1,4 +1,4 @@
-"""Flags: the rows of a report that meet a condition such as ``measured<0.6``, so that a person looks at them."""
+"""Flag the rows of a report that meet a condition such as ``measured<0.6``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _COMPARISONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": ope
 _COMPARISONS |= {"=": operator.eq, "!=": operator.ne}
 _CONDITION = re.compile(r"\s*([^<>=!]+?)\s*(<=|>=|!=|<|>|=)\s*([^\s<>=!]+)\s*")
 _NUMBER = re.compile(r"\d+\.?\d*|\.\d+")
-_COLUMNS = {"memory": "peak_memory"}  # as the printed table names them
+_COLUMNS = {"memory": "peak_memory"}  # name in the printed table -> column
 
 
 class Condition(NamedTuple):
@@ -32,7 +32,7 @@ class Condition(NamedTuple):
 
 
 def conditions_of(texts: Sequence[str] | None, fail_flagged: bool) -> list[Condition]:
-    """Return the conditions that are given; ConfigError if one is wrong, or --fail-flagged has none."""
+    """Return the conditions in the texts. Raise ConfigError for a wrong one, or --fail-flagged without any."""
     if fail_flagged and not texts:
         raise ConfigError("--fail-flagged needs a condition, such as --flag 'measured<0.6'")
     made = []
@@ -49,7 +49,7 @@ def conditions_of(texts: Sequence[str] | None, fail_flagged: bool) -> list[Condi
 
 
 class Flagged(NamedTuple):
-    """A flagged row: its scene, its run (empty if there is only one), and the conditions that it meets, with values."""
+    """A flagged row: its scene, its run (empty if there is only one), and the met conditions with values."""
 
     scene: str
     run: str
@@ -62,31 +62,31 @@ class Flags(NamedTuple):
     conditions: tuple[str, ...] = ()
     flagged: tuple[Flagged, ...] = ()  # worst first
     n_rows: int = 0
-    unanswered: tuple[str, ...] = ()  # conditions for which no row has a value, perhaps of a misspelled column
+    unanswered: tuple[str, ...] = ()  # conditions without a value in any row, e.g. a misspelled column
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values, for JSON; nothing without conditions."""
+        """Return plain values for JSON, or an empty dict without conditions."""
         flagged = [{k: v for k, v in each._asdict().items() if k != "run" or v} for each in self.flagged]
         return {"flagged": flagged} if self.conditions else {}
 
     def text(self) -> str:
-        """Return the number of flagged rows and a table of them, for a terminal."""
+        """Return the number and table of flagged rows for a terminal."""
         names = [name for name in ("scene", "run") if any(getattr(each, name) for each in self.flagged)]
         rows = [(*(getattr(each, name) for name in names), "; ".join(each.reasons)) for each in self.flagged]
         table = [aligned([(*names, "why"), *rows], [False] * (len(names) + 1))] if rows else []
         return "\n".join(["", f"flagged: {len(rows) or 'none'} of {self.n_rows}", *table, ""])
 
     def exit_code(self, failed: bool, fail_flagged: bool, all_rows: bool = True) -> int:
-        """Return the exit code of a command; values that some rows lack may be in rows of other processes."""
+        """Return the exit code of a command. Without ``all_rows``, other processes may have the missing values."""
         if failed:
             return SOME_FAILED
         return FLAGGED if fail_flagged and (self.flagged or (self.unanswered and all_rows)) else 0
 
 
 def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]], reporter: Reporter) -> Flags:
-    """Return the rows that the conditions flag: most reasons first, then the farthest beyond their first limit.
+    """Return the flagged rows, sorted by number of reasons, then by distance from the limit of the first reason.
 
-    Warn about conditions that some or all rows, which have a ``scene`` and may have a ``run``, have no value for.
+    Rows have a ``scene`` and may have a ``run``. Warn about conditions without a value in some or all rows.
     """
     if not conditions:
         return Flags(n_rows=len(rows))
@@ -113,12 +113,12 @@ def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]
 
 
 def plain_name(heading: str) -> str:
-    """Return a heading with single spaces and the shortest form of its numbers: ``bad 1.0`` is ``bad 1``."""
+    """Return a heading with single spaces and short numbers: ``bad 1.0`` becomes ``bad 1``."""
     return " ".join(f"{float(word):g}" if _NUMBER.fullmatch(word) else word for word in heading.split())
 
 
 def _number(value: Any) -> float | None:
-    """Return a finite number, the sum of seconds by stage, and None for everything else."""
+    """Return a finite number, or the sum of a mapping's values (seconds by stage), or None for other values."""
     if isinstance(value, Mapping):
         return math.fsum(value.values()) if value else None
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):

@@ -1,8 +1,8 @@
-"""The processes that write into the folder of a run, and their locks.
+"""Locks of a run folder, for the processes that write into it.
 
-Processes with the same config may share a folder. Each keeps a shared lock of it; the first one is alone and sets the
-folder up while the others wait. A scene is computed by the process that has locked its byte of the file of locks. The
-operating system frees all locks of a process that ends, however it ends.
+Processes with the same config may share a folder. Each has a shared lock on it. The first process has it alone and sets
+the folder up while the others wait. The process that locks a scene's byte in the lock file computes the scene. The
+operating system frees all locks of a process when it ends.
 """
 
 from __future__ import annotations
@@ -42,27 +42,27 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 LEGEND_FILE = "status.txt"
-"""The codes of status maps, in the run folder."""
+"""File in the run folder that explains the codes of status maps."""
 EVALUATION = "evaluation"
-"""Folder of a run's scores and page, in the run folder."""
-FOLDER_FILES = (RUN_FILE, *REPORT_FILES, LEGEND_FILE, "legend.png", EVALUATION)  # legend.png: of versions up to 0.2.0
-"""Names in the folder of a run that no scene may have."""
+"""Folder in the run folder with scores and page."""
+FOLDER_FILES = (RUN_FILE, *REPORT_FILES, LEGEND_FILE, "legend.png", EVALUATION)  # legend.png: versions up to 0.2.0
+"""Names in a run folder that no scene may have."""
 LOCKS_FILE = ".locks"
 
-_SETUP_TIMEOUT = 60.0  # seconds that a process waits for another one to set up the folder
+_SETUP_TIMEOUT = 60.0  # seconds to wait for another process to set up the folder
 _POLL_SECONDS = 0.05
 _REPORT = ""  # what is claimed while the report is written
 
 TITLE = "# Written by depthcli: the resolved config of this run."
-"""How a run.yaml begins; a file of that name without it is not ours."""
+"""First line of run.yaml; depthcli did not write a run.yaml without it."""
 
 
 @dataclass(eq=False)
 class FolderLock:
-    """The right to write into a run folder, which is made where it is missing.
+    """The right to write into a run folder, which is created if needed.
 
-    It is ``alone`` while no other process can write there: until ``share``, or once ``last`` returned True. ``locks``
-    is False on a file system without locks, where nobody knows of other processes and ``warn`` takes a message.
+    It is ``alone`` while no other process can write there: until ``share``, or after ``last`` returned True. ``locks``
+    is False on a file system without locks; other processes are unknown there, and ``warn`` gets a message.
     """
 
     output: Path
@@ -118,27 +118,27 @@ class FolderLock:
         return True
 
     def set_up(self, text: str, overwrite: bool) -> None:
-        """Make it the folder of the run whose ``run.yaml`` has this text, and admit other processes of the run.
+        """Set the folder up for the run with this text of ``run.yaml``, and admit other processes of the run.
 
         Raises
         ------
         ConfigError
-            It has results of another config, and ``overwrite`` is not set; files that no run wrote have the names of
-            a run's; or other processes write a run of another config there.
+            If it has results of another config and ``overwrite`` is not set, if files that no run wrote have the names
+            of a run's files, or if other processes write a run of another config there.
         """
         output, known = self.output, saved_config(self.output)
         if (self.alone or not self.locks) and known != text:
             check_folder(output, text, overwrite)
-            for record in records_below(output, digest(known.encode())):  # of the run that is replaced
+            for record in records_below(output, digest(known.encode())):  # of the replaced run
                 remove_results(output / record.scene)
             write_text(output / RUN_FILE, text)
-            flush(output / RUN_FILE)  # without it, the records would belong to an unknown run
+            flush(output / RUN_FILE)  # otherwise a power cut could leave records of an unknown run
         if saved_config(output) != text:
             raise ConfigError(f"{output}: another depthcli writes a run of another config there now; choose another")
         self.share()
 
     def share(self) -> None:
-        """Remove what killed processes left, and admit other processes."""
+        """Remove leftovers of killed processes, and admit other processes."""
         if self.alone:
             remove_leftovers(self.output)
         if self.locks:
@@ -156,7 +156,7 @@ class FolderLock:
             fcntl.lockf(self._scenes, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB), 1, _byte(name))
         except (BlockingIOError, PermissionError):
             return False
-        except OSError:  # no such locks here
+        except OSError:  # the file system has no such locks
             return True
         return True
 
@@ -168,7 +168,7 @@ class FolderLock:
 
     @contextlib.contextmanager
     def reporting(self) -> Iterator[None]:
-        """Hold the lock of the report."""
+        """Lock the report during the block."""
         self.claim(_REPORT, wait=True)
         try:
             yield
@@ -176,7 +176,7 @@ class FolderLock:
             self.release(_REPORT)
 
     def last(self) -> bool:
-        """Return True where all other processes have left; from then on the folder is locked against new ones."""
+        """Return whether all other processes have ended; then the folder is locked against new ones."""
         with contextlib.suppress(OSError):
             if self.locks and self._try_lock(fcntl.LOCK_EX):
                 self.alone = True
@@ -193,11 +193,18 @@ def _byte(name: str) -> int:
 
 @contextlib.contextmanager
 def staging_folder(folder: Path, command: str, patterns: Sequence[str], warn: Callable[[str], None]) -> Iterator[Path]:
-    """Give a hidden folder to write into; its files at the end of the block replace earlier results.
+    """Yield a hidden folder to write into; at the end of the block, its files replace earlier results.
 
-    For commands that make one set of files rather than scenes; ``patterns`` match the paths of their results.
-    If the block raises, ``folder`` stays as it was. ConfigError before the block: the folder has results of
-    another command, or files that no record claims under the names of results. OutputError: it cannot be written.
+    This is for commands that write one set of files instead of scenes; ``patterns`` match the paths of their results.
+    If the block raises, ``folder`` stays unchanged.
+
+    Raises
+    ------
+    ConfigError
+        Before the block, if the folder has results of another command, or files with the names of results that no
+        record claims.
+    OutputError
+        If the folder cannot be written.
     """
 
     @contextlib.contextmanager
@@ -230,12 +237,12 @@ def staging_folder(folder: Path, command: str, patterns: Sequence[str], warn: Ca
 
 
 def saved_config(folder: Path) -> str:
-    """Return the text of a run folder's ``run.yaml``; empty where it is missing or cannot be read."""
+    """Return the text of a run folder's ``run.yaml``, or an empty text if it is missing or unreadable."""
     return read_text(folder / RUN_FILE)
 
 
 def check_folder(output: Path, text: str, overwrite: bool) -> None:
-    """Raise OutputError or ConfigError if a folder cannot become that of the run whose ``run.yaml`` has this text."""
+    """Raise OutputError or ConfigError if a run with this text of ``run.yaml`` cannot use the folder."""
     if os.path.lexists(output) and not os.path.isdir(output):
         raise OutputError(f"{output}: cannot be used as a run folder (Not a directory)")
     if saved_config(output) == text:
@@ -248,7 +255,7 @@ def check_folder(output: Path, text: str, overwrite: bool) -> None:
 
 
 def refusal(folder: Path, text: str) -> str:
-    """Return why a folder has another run than ``text``, which only ``--overwrite`` replaces; or empty."""
+    """Return a reason if a folder has another run than ``text`` that needs ``--overwrite``, or an empty text."""
     known = saved_config(folder)
     if not os.path.lexists(folder / RUN_FILE) or known == text or not holds_results(folder):
         return ""
@@ -262,7 +269,7 @@ def refusal(folder: Path, text: str) -> str:
 
 
 def holds_results(folder: Path) -> bool:
-    """Return whether a scene of the run is done, or its record is damaged; evaluations and runs below do not count."""
+    """Return whether any scene is done or has a damaged record; evaluations and runs below are ignored."""
     deeper = (path for path in folder.glob(f"*/*/{RECORD_FILE}") if not (path.parents[1] / RUN_FILE).exists())
     records = (read_record(path.parent) for paths in (folder.glob(f"*/{RECORD_FILE}"), deeper) for path in paths)
     return any(record is None or (record.scene and record.row.get("status") == "done") for record in records)

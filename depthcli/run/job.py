@@ -1,4 +1,4 @@
-"""``Job``, the computation of a command for every scene, and how a run is carried out."""
+"""``Job``, a command's computation for every scene, and ``Execution``, the options of a run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SceneT = TypeVar("SceneT", bound="Scene")
 
 @dataclass
 class Outcome:
-    """The row of one scene in the report: columns that are the same in every run, time by stage, and warnings."""
+    """A scene's row of the report: reproducible columns, time by stage, and warnings."""
 
     facts: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
@@ -30,16 +30,16 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Execution:
-    """How a run is carried out; none of it but ``keep`` changes the results."""
+    """Options for the execution of a run; only ``keep`` changes the results."""
 
-    jobs: int | None = 1  # worker processes; 1 computes in this process, None in as many as finish first
-    threads: int | None = None  # of each process; None divides the cores among them
-    max_memory: int | None = None  # bytes, of all processes together; None: all that is available
+    jobs: int | None = 1  # worker processes; 1: this process; None: the fastest number
+    threads: int | None = None  # per process; None divides the cores among processes
+    max_memory: int | None = None  # bytes, for all processes together; None: all available memory
     overwrite: bool = False
-    shard: tuple[int, int] | None = None  # (I, N): every N-th scene, from the I-th; other processes have the others
+    shard: tuple[int, int] | None = None  # (I, N): every N-th scene, from the I-th
     fail_fast: bool = False
-    keep: tuple[str, ...] = ()  # shell patterns of the files that are kept of a scene; none: all
-    scheduler: str | None = None  # address of the dask.distributed cluster that computes
+    keep: tuple[str, ...] = ()  # shell patterns of a scene's files to keep; empty: all
+    scheduler: str | None = None  # address of a dask.distributed cluster
 
     def threads_each(self) -> int:
         """Return the number of threads of one worker."""
@@ -56,7 +56,7 @@ class Execution:
 
 
 def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[int, int] | None:
-    """Return the shard that ``3/8`` or a job array of Slurm describes, or None; ConfigError for no such part."""
+    """Return the shard from a text such as ``3/8`` or Slurm's job array, or None. Raise ConfigError for others."""
     if text is None and "SLURM_ARRAY_TASK_COUNT" in environment:
         names = ("ID", "MIN", "STEP", "COUNT")
         values = {name: environment.get(f"SLURM_ARRAY_TASK_{name}", "1") for name in names}
@@ -74,29 +74,29 @@ def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[int, int
 
 
 class Job(ABC, Generic[SceneT]):
-    """A command's work on its scenes: all that a run knows of the command. It goes to workers, so it is picklable."""
+    """A command's work on its scenes. It is sent to workers and must be picklable."""
 
     command: ClassVar[str]
 
     config: Any
-    """The config, a mapping for commands without one; it decides with all versions which run this is."""
+    """The config, or a mapping for commands without one; together with all versions, it identifies the run."""
 
     @abstractmethod
     def compute(self, scene: SceneT, folder: Path, context: Context) -> Outcome:
         """Compute a scene with at most ``context.memory`` bytes, and write its files into an empty folder."""
 
     def files(self, scene: SceneT) -> dict[str, Path]:
-        """Return role -> file, for all files that the result depends on, except files that the config names."""
+        """Return role -> file for all files that the result depends on, except files named in the config."""
         return scene.input_files
 
     def settings(self, scene: SceneT) -> dict[str, str]:
-        """Return the facts of the layout that the result depends on, in addition to config and files."""
+        """Return further values that the result depends on, in addition to config and files."""
         return {}
 
     def memory(self, scene: SceneT) -> int | None:
-        """Estimate the peak memory in bytes from the headers of the files; None where that is not known."""
+        """Return an estimate of the peak memory, in bytes, from the files' headers, or None if it is unknown."""
         return None
 
     def memory_bound(self, scene: SceneT) -> int | None:
-        """Return the largest peak memory in bytes; where it is None, one scene is computed at a time by default."""
+        """Return the largest peak memory in bytes; if it is None, scenes are computed one at a time by default."""
         return self.memory(scene)

@@ -1,9 +1,9 @@
-"""Records of results: their inputs and files, by which a later run resumes and replaces no other file; and reports.
+"""Records of results with their inputs and files, and reports.
 
-The folder of a scene has its results and ``record.json``, which is written last; so does an evaluation. Results are
-made in a hidden folder and then moved. A record is not trusted when it is read: it may name only files in its own
-folder, has a digest of itself and of each of them, and is ignored if a digest does not match. The report of a run has
-the rows of its records.
+Records let a later run resume, and prevent that it replaces files that no run wrote. The folder of a scene or an
+evaluation has the results and ``record.json``, which is written last. Results are written to a hidden folder and then
+moved. A record is checked when it is read: it may name only files in its own folder, and it has digests of itself and
+of each file. The report of a run has the rows of its records.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ from depthcli.show.table import Row, to_csv, to_json
 REPORT_FILES = ("report.json", "report.csv")
 RECORD_FILE = "record.json"
 CLAIM_FILE = ".claim.json"
-"""The record of results that are being written or removed: they are not done, but their files may be replaced."""
+"""Record of results that are being written or removed: they are not done, but their files may be replaced."""
 
 OTHER_RUN = "has a scene of another run; choose another --output, or --overwrite it"
 PARTIAL_PREFIX = ".partial-"
-"""Start of the names of hidden folders in which results are made; one without a process is left by a killed run."""
+"""Prefix of the hidden folders that results are written to; killed runs leave such folders."""
 
-_MAX_TEXT_BYTES = 1 << 28  # a report of 100,000 scenes has about 60 MB; larger files are not ours
-_MAX_NAMED = 3  # files that a message names
+_MAX_TEXT_BYTES = 1 << 28  # a report of 100,000 scenes has about 60 MB; depthcli writes no larger files
+_MAX_NAMED = 3  # files to name in a message
 
 
 @dataclass(frozen=True)
 class Record:
-    """What results were made from and consist of."""
+    """The inputs and files of results."""
 
     scene: str  # its name; empty for an evaluation
-    run: str  # identity of the run, the digest of its run.yaml; or the name of the command that has no such file
-    inputs: dict[str, str]  # role -> digest of an input file, and whatever else the result depends on
-    files: dict[str, str]  # path below the scene's folder -> digest of the file
-    row: Row  # of the report; of a scene that failed, too, which has no files then
+    run: str  # identity of the run, the digest of its run.yaml; for commands without that file, the command's name
+    inputs: dict[str, str]  # role -> digest of an input file or another value that the result depends on
+    files: dict[str, str]  # path below the scene's folder -> digest; empty for a failed scene
+    row: Row  # of the report
 
     def is_done(self, folder: Path, run: str, inputs: Mapping[str, str]) -> bool:
-        """Return True where this run made the files from these inputs, and all of them are unchanged in ``folder``."""
+        """Return whether this run wrote the files from these inputs, and all are unchanged in ``folder``."""
         made = self.row.get("status") == "done" and self.run == run and self.inputs == dict(inputs)
         return made and all(file_digest(folder / name) == content for name, content in self.files.items())
 
@@ -61,7 +61,7 @@ def digest(data: bytes) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """Return the SHA-256 digest of a file, or the reason why it cannot be read, which never equals a digest."""
+    """Return the SHA-256 digest of a file, or the reason if it is unreadable, which never equals a digest."""
     try:
         with open_regular(path) as file:
             sha = hashlib.sha256()
@@ -73,25 +73,25 @@ def file_digest(path: Path) -> str:
 
 
 def digest_and_state(path: Path) -> tuple[str, object]:
-    """Return the digest of a file, and its state before it was read, which changes when the file does."""
+    """Return the digest of a file, and its state (time, size, inode) before reading."""
     state = file_states(path)
     return file_digest(path), state
 
 
 def digests_below(folder: Path) -> dict[str, str]:
-    """Return path below ``folder`` -> digest of every file in it."""
+    """Return path below ``folder`` -> digest, for every file in it."""
     files = filter(Path.is_file, sorted(folder.rglob("*")))
     return {path.relative_to(folder).as_posix(): file_digest(path) for path in files}
 
 
 def write_record(folder: Path, record: Record) -> None:
-    """Write a record, with a digest of itself, into a folder of results; OutputError where that is impossible."""
+    """Write a record with its own digest into a folder of results. Raise OutputError on failure."""
     content = json.loads(to_json(asdict(record)))
     write_text(folder / RECORD_FILE, to_json(content | {"check": _check(content)}))
 
 
 def read_record(folder: Path, name: str = RECORD_FILE) -> Record | None:
-    """Return the record in a folder of results; None where it is missing or damaged."""
+    """Return the record in a folder of results, or None if it is missing or damaged."""
     content = read_json(folder / name)
     if not isinstance(content, dict) or content.pop("check", None) != _check(content):
         return None
@@ -107,7 +107,7 @@ def _check(content: object) -> str:
 
 
 def records_below(folder: Path, run: str) -> Iterator[Record]:
-    """Yield the records of all scenes of a run, by name; folders of scenes and hidden ones are not searched."""
+    """Yield the records of a run's scenes, sorted by name; folders inside scenes and hidden folders are skipped."""
     for place, folders, files in os.walk(folder):
         folders[:] = sorted(each for each in folders if not each.startswith("."))
         if RECORD_FILE in files:
@@ -118,12 +118,12 @@ def records_below(folder: Path, run: str) -> Iterator[Record]:
 
 
 def is_inside(name: str) -> bool:
-    """Return True for a relative path, with ``/``, that stays within its folder."""
+    """Return whether a path with ``/`` is relative and stays within its folder."""
     return {"", ".", ".."}.isdisjoint(name.split("/")) and "\0" not in name
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a regular file of reasonable size, empty for any other."""
+    """Return the text of a regular file of at most 256 MiB, or an empty text if it cannot be read."""
     try:
         with open_regular(path) as file:
             return file.read(_MAX_TEXT_BYTES).decode("utf-8", "replace").replace("\r\n", "\n")
@@ -132,7 +132,7 @@ def read_text(path: Path) -> str:
 
 
 def read_json(path: Path) -> object:
-    """Return the content of a JSON file; None where it is missing or damaged."""
+    """Return the content of a JSON file, or None if it is missing or damaged."""
     try:
         content: object = json.loads(read_text(path))
     except (ValueError, RecursionError):
@@ -141,23 +141,23 @@ def read_json(path: Path) -> object:
 
 
 def hidden_folder(folder: Path) -> Path:
-    """Return a new hidden folder below ``folder`` in which this process makes results.
+    """Return the path of a new hidden folder below ``folder`` for this process's results.
 
-    The time is part of its name: processes of restarted containers have the same machine and number again.
+    Its name contains the time, since processes of restarted containers may have the same machine name and id.
     """
     machine = re.sub("[^A-Za-z0-9-]", "_", platform.node())
     return folder / f"{PARTIAL_PREFIX}{machine}-{os.getpid()}-{time.time_ns():x}"
 
 
 def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -> None:
-    """Move results from the hidden folder ``made`` to ``folder``, in the place of files that a record claims.
+    """Move results from the hidden folder ``made`` to ``folder``, and replace files that a record claims.
 
-    OutputError, and nothing was moved: the folder has results of another run and ``overwrite`` is not set, or files
-    that no record claims have the names of results.
+    Raise OutputError, and move nothing, if the folder has results of another run and ``overwrite`` is not set, or if
+    files that no record claims have the names of results.
 
-    Files and record, and their names, are on the disk before they are moved: a power cut leaves no record in ``folder``
-    without its files. That they were moved is on the disk when the next results are, or when the caller flushes the
-    folder above: a power cut before costs these results alone.
+    Files, record and their names are flushed before they are moved, so that a power cut leaves no record without its
+    files in ``folder``. The move itself is flushed with the next results, or when the caller flushes the parent folder.
+    Until then, a power cut can lose these results, but no others.
     """
     write_record(made, record)
     above = [folder.parent] if folder.parent.is_dir() else []  # of the results before
@@ -171,9 +171,9 @@ def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -
     folder.parent.mkdir(parents=True, exist_ok=True)
     try:
         made.rename(folder)
-    except OSError:  # the folder exists and has files of others
+    except OSError:  # the folder exists and has other files
         folder.mkdir(exist_ok=True)
-        # Where this is interrupted, the next run knows by the claim that the files are its own.
+        # If this is interrupted, the claim tells the next run that it may replace the files.
         os.replace(made / RECORD_FILE, folder / CLAIM_FILE)
         for name in record.files:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -185,14 +185,14 @@ def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -
 
 
 def _folders(folder: Path, record: Record) -> list[Path]:
-    """Return the folders of the files of a record in ``folder``, which is the last one."""
+    """Return the folders of a record's files, deepest first and ``folder`` last."""
     return sorted({folder, *((folder / name).parent for name in record.files)}, reverse=True)
 
 
 def record_failure(folder: Path, record: Record, overwrite: bool) -> None:
-    """Write the record of a scene that failed, in place of an earlier result from other inputs, if possible.
+    """Write the record of a failed scene, if possible, and remove an earlier result.
 
-    Results of another run stay, and so do files that no record claims.
+    Results of another run and files that no record claims are kept.
     """
     earlier = read_record(folder)
     is_ours = earlier is None or earlier.run == record.run or overwrite
@@ -203,11 +203,11 @@ def record_failure(folder: Path, record: Record, overwrite: bool) -> None:
 
 
 def remove_results(folder: Path) -> None:
-    """Delete the files that the records of a folder claim, and folders that are empty then; other files stay.
+    """Delete the files that the records of a folder claim, and empty folders; other files are kept.
 
-    The record becomes a claim first: where this is interrupted the results are not done, but still known.
+    The record is first renamed to a claim. If this is interrupted, the results are not done, but may be replaced.
     """
-    for _ in range(2):  # files in a claim that was left behind, then in the record
+    for _ in range(2):  # files in an old claim, then files in the record
         folders = {folder}
         for name in _claims(folder, (CLAIM_FILE,)):
             (folder / name).unlink(missing_ok=True)
@@ -222,7 +222,7 @@ def remove_results(folder: Path) -> None:
 
 
 def discard(folder: Path) -> None:
-    """Delete a hidden folder; it is renamed first, so that a process still writing into it loses all of it at once."""
+    """Delete a hidden folder; it is renamed first, so that a process that still writes there fails at once."""
     away = folder.with_name(f"{folder.name}-{time.time_ns()}")
     try:
         folder.rename(away)
@@ -232,7 +232,7 @@ def discard(folder: Path) -> None:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove what killed processes left in a folder where no other process writes."""
+    """Remove leftovers of killed processes from a folder in which no other process writes."""
     for made in folder.glob(f"{PARTIAL_PREFIX}*"):
         if not made.is_symlink():
             discard(made)
@@ -240,7 +240,7 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def not_ours(names: Sequence[str]) -> str:
-    """Return why files that no run wrote are not replaced, and what to do."""
+    """Return a message that files that no run wrote are not replaced, with a remedy."""
     more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
     return (
         f"{', '.join(names[:_MAX_NAMED])}{more} would be replaced, but no record shows that depthcli wrote "
@@ -250,14 +250,14 @@ def not_ours(names: Sequence[str]) -> str:
 
 
 def _claims(folder: Path, names: Sequence[str] = (CLAIM_FILE, RECORD_FILE)) -> set[str]:
-    """Return the files in a folder that a run wrote, by the records of these names."""
+    """Return the files in a folder that the records with these names claim."""
     return {file for name in names if (record := read_record(folder, name)) is not None for file in record.files}
 
 
 def _foreign_files(folder: Path, files: Mapping[str, str]) -> list[str]:
-    """Return the members of ``files``, name -> digest, that would replace a file that no record claims.
+    """Return the names in ``files``, name -> digest, that would replace a file that no record claims.
 
-    A file with the same content counts as ours: nothing is lost. So do the results of a scene whose record was lost.
+    Files with the same content may be replaced, since nothing is lost. This includes results whose record was lost.
     """
     claimed, names, is_ours = _claims(folder), list[str](), False
     for name, content in files.items():
@@ -267,12 +267,12 @@ def _foreign_files(folder: Path, files: Mapping[str, str]) -> list[str]:
             elif name not in claimed:
                 names.append(name)
     if not is_ours and read_record(folder) is None and read_record(folder, CLAIM_FILE) is None:
-        names += [name for name in (RECORD_FILE, CLAIM_FILE) if os.path.lexists(folder / name)]  # not a damaged record
+        names += [name for name in (RECORD_FILE, CLAIM_FILE) if os.path.lexists(folder / name)]  # foreign files
     return names
 
 
 def write_report(folder: Path, command: str, run: str) -> list[Row]:
-    """Write the report of all scenes of a run that have a record, and return its rows; OutputError where impossible."""
+    """Write the report of all scenes with a record, and return its rows. Raise OutputError on failure."""
     rows = [record.row for record in sorted(records_below(folder, run), key=attrgetter("scene"))]
     document = report_document(command, rows)
     lines = ",\n  ".join(to_json(row, indent=None).rstrip() for row in rows)
@@ -283,19 +283,19 @@ def write_report(folder: Path, command: str, run: str) -> list[Row]:
 
 
 def is_gone(source: str) -> bool:
-    """Return whether a source of a row was removed: neither the file is there nor an archive, but a folder above it."""
+    """Return whether a row's source was removed: file and archive are missing, but a folder above exists."""
     above = Path(source).parents
     return not os.path.exists(source) and any(map(os.path.isdir, above[:2])) and not any(map(os.path.isfile, above))
 
 
 def report_document(command: str, rows: Sequence[Row]) -> dict[str, Any]:
-    """Return the document of ``report.json``: command, rows, and how many are done and failed."""
+    """Return the document of ``report.json``: command, rows, and numbers of done and failed scenes."""
     failed = sum(row["status"] == "failed" for row in rows)
     return {"command": command, "scenes": list(rows), "done": len(rows) - failed, "failed": failed}
 
 
 def read_report(folder: Path) -> dict[str, Row]:
-    """Return the rows of a run folder's report by scene, with the types that readers expect; empty without a report."""
+    """Return scene -> row of a run folder's report, with the expected types; empty without a report."""
     document = read_json(folder / REPORT_FILES[0])
     rows = document.get("scenes") if isinstance(document, dict) else None
     found = {}

@@ -1,4 +1,4 @@
-"""Cores and memory of the machine that this process may use."""
+"""Cores and memory that this process may use."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from depthcli.core.text import show_bytes
 
 
 def cores() -> int:
-    """Return the number of cores that this process may run on, within the limit of the control group."""
+    """Return the number of cores that this process may use, within the control group's limit."""
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    with contextlib.suppress(OSError, ValueError):  # no such file; "max" is no limit
+    with contextlib.suppress(OSError, ValueError):  # no such file, or "max" (no limit)
         quota, period = map(int, Path("/sys/fs/cgroup/cpu.max").read_text("ascii").split())
         count = min(count, max(quota // period, 1))
     return count
 
 
 def check_memory(need: int, limit: int, size: str, keys: str = "") -> None:
-    """Raise InputError where a process needs more than ``limit`` bytes; ``need``: for a scene of a ``size`` alone.
+    """Raise InputError if a process needs more than ``limit`` bytes; ``need`` is for a scene of ``size`` alone.
 
-    ``keys`` of the config help.
+    The message suggests ``keys`` of the config.
     """
-    from depthcli.core.memory import BASE_BYTES  # which imports numpy: not for --help
+    from depthcli.core.memory import BASE_BYTES  # imports numpy, which --help should not
 
     need += BASE_BYTES
     if need > limit:
@@ -33,7 +33,7 @@ def check_memory(need: int, limit: int, size: str, keys: str = "") -> None:
 
 
 def available_memory() -> int:
-    """Return the free memory, within the limit of the control group, in bytes."""
+    """Return the free memory in bytes, within the control group's limit."""
     free = _kilobytes("/proc/meminfo", "MemAvailable:")
     found = [1 << 62] if free is None else [1 << 62, free * 1024]
     for limit, used in (
@@ -48,13 +48,13 @@ def available_memory() -> int:
 
 
 def reset_peak() -> None:
-    """Start a new measurement of the peak, where the system can (Linux)."""
+    """Start a new measurement of the peak memory, if the system supports it (Linux)."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", "ascii")
 
 
 def peak_memory() -> int | None:
-    """Return the largest resident size since :func:`reset_peak`, or since the start of the process, in bytes."""
+    """Return the largest resident size, in bytes, since :func:`reset_peak` or the start of the process."""
     if (peak := _kilobytes("/proc/self/status", "VmHWM:")) is not None:
         return peak * 1024
     try:
@@ -66,7 +66,7 @@ def peak_memory() -> int | None:
 
 
 def _kilobytes(file: str, key: str) -> int | None:
-    """Return the number behind a key in a file of Linux's /proc, None where it is not there."""
+    """Return the number after a key in a file of Linux's /proc, or None if it is missing."""
     with contextlib.suppress(OSError, ValueError):
         for line in Path(file).read_text("ascii", "replace").splitlines():
             if line.startswith(key):

@@ -1,8 +1,8 @@
-"""A run: skip finished scenes, compute the others, isolate failures, show progress, report.
+"""Run scenes: skip finished ones, compute the others, isolate failures, show progress, report.
 
-A scene is computed in a hidden folder of the run and then moved into place, its record written last. A run can
-therefore be killed at any moment and started again: scenes whose record matches the config and the inputs are kept,
-all others are computed again. Processes with the same config may share the folder.
+A scene is computed in a hidden folder of the run and then moved into place, the record last. If a run is killed and
+started again, scenes whose record matches config and inputs are kept, and all others are computed again. Processes with
+the same config may share the folder.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from depthcli.run.scene import GOES_ON, Task, Work
 from depthcli.run.workers import compute_on_this_machine
 from depthcli.show.table import Row
 
-# Digests that are remembered: calibrations and videos belong to several scenes that follow each other.
+# Number of cached digests; calibrations and videos belong to several consecutive scenes.
 _MAX_REMEMBERED = 16
 
 
@@ -56,17 +56,17 @@ def run_scenes(
     -------
     The rows of the report, one per scene of this call (of its shard; up to the first failure with ``fail_fast``), in
     order: ``scene``, ``status`` (done or failed), ``error``, facts, ``seconds`` by stage, ``peak_memory`` in bytes,
-    ``source``, ``warnings``. And the names of those without a row, as other processes still compute them; the process
-    that ends last leaves none.
+    ``source``, ``warnings``. Also the names of scenes without a row, which other processes still compute; there are
+    none for the process that ends last.
 
     Raises
     ------
     ConfigError
-        The folder has another run or the result of another input of the same name, or contains the inputs.
+        If the folder has another run or a result from another input of the same name, or contains the inputs.
     OutputError
-        The folder cannot be used; or the disk became full, and the run stopped there.
+        If the folder cannot be used, or the disk became full.
     IncompleteError
-        Everything was computed, but the report cannot be written; or the connection to the scheduler was lost.
+        If all scenes were computed but the report cannot be written, or the connection to the scheduler was lost.
     """
     plan = Plan(job, scenes, output, how)
     plan.check_names()
@@ -76,7 +76,7 @@ def run_scenes(
 
 
 class Plan:
-    """Says which scenes of a run are done, and makes tasks of the others."""
+    """Creates the tasks of a run's scenes."""
 
     def __init__(self, job: Job[Any], scenes: Sequence[Any], output: Path, how: Execution) -> None:
         plugins = set[Plugin]()
@@ -88,11 +88,11 @@ class Plan:
         self.text = self.work.text  # of run.yaml
         self.identity = digest(self.text.encode())
         self.workspace = hidden_folder(output)
-        self._shared = used_files(job.config)  # files that the config names, of every scene
+        self._shared = used_files(job.config)  # files named in the config, inputs of every scene
         self._digest = lru_cache(maxsize=_MAX_REMEMBERED)(digest_and_state)
 
     def check_names(self) -> None:
-        """Raise ConfigError if a name cannot name a folder, or the folder is a link or contains the scene's input."""
+        """Raise ConfigError if a name is no folder name, or the folder is a link or contains the scene's input."""
         for scene in self.scenes:
             parts = scene.name.split("/")
             if not is_inside(scene.name) or "/." in f"/{scene.name}":
@@ -110,7 +110,7 @@ class Plan:
                 raise ConfigError(f"{self.output}: {scene.name} {problem}")
 
     def task(self, scene: Any, number: int) -> Task:
-        """Return the task that computes a scene, with the digests of all that its result depends on."""
+        """Return the task that computes a scene, with the digests of all its inputs."""
         files = self._files(scene)
         watched = {file: self._digest(file) for file in dict.fromkeys(files.values())}
         inputs = {role: watched[file][0] for role, file in files.items()}
@@ -138,7 +138,7 @@ class _Run:
     disk_full: str = ""  # the disk, and how much is free there
 
     def rows_of_all(self) -> tuple[list[Row], list[str]]:
-        """Compute unfinished scenes, write the report, and return the same as ``run_scenes``."""
+        """Compute unfinished scenes, write the report, and return the results of ``run_scenes``."""
         plan, work, reporter = self.plan, self.plan.work, self.reporter
         tasks, no_report = self._tasks(), ""
         if work.how.scheduler is not None and tasks:
@@ -157,7 +157,7 @@ class _Run:
                     self._tell_of_gone(write_report(plan.output, work.job.command, plan.identity))
                     # The last scenes are on the disk under their names before the run ends.
                     flush_all({plan.output, *((plan.output / name).parent for name in self.rows)})
-                except OutputError as error:  # a scene that cannot be written reports that itself
+                except OutputError as error:  # scenes that cannot be written have failed rows instead
                     no_report = str(error)
                 except OSError as error:
                     no_report = f"{plan.output}: cannot be written ({error.strerror or error})"
@@ -170,13 +170,13 @@ class _Run:
         return [self.rows[scene.name] for scene in plan.scenes if scene.name in self.rows], list(self.elsewhere)
 
     def _tasks(self) -> list[Task]:
-        """Return the tasks of the scenes that are not done; take the rows of the others.
+        """Return the tasks of unfinished scenes, and take the rows of finished ones.
 
-        ConfigError where results of another run, or of another input of the same name, would be replaced.
+        Raise ConfigError if results of another run, or from another input of the same name, would be replaced.
         """
         plan, replaces = self.plan, self.plan.work.how.overwrite
         records = {scene.name: read_record(plan.output / scene.name) for scene in plan.scenes}
-        for name, known in records.items():  # before any file is digested, which can take long
+        for name, known in records.items():  # before digesting files, which can take long
             if known is not None and known.run != plan.identity and known.row.get("status") == "done" and not replaces:
                 raise ConfigError(f"{plan.output / name}: {OTHER_RUN}")
         tasks = []
@@ -200,7 +200,7 @@ class _Run:
         return tasks
 
     def _claimed(self, tasks: Sequence[Task]) -> Iterator[Task]:
-        """Yield the tasks that no other process computes, or has computed since."""
+        """Yield the tasks that no other process computes or has computed meanwhile."""
         for task in tasks:
             if self.lock.claim(task.scene.name):
                 known = read_record(task.target)
@@ -214,7 +214,7 @@ class _Run:
             self.reporter.step()
 
     def _collect(self, computed: Iterable[Row]) -> None:
-        """Take the rows as they come, until the last one, a full disk, or the first failure with ``fail_fast``."""
+        """Take all rows, or stop at a full disk or, with ``fail_fast``, at the first failure."""
         for row in computed:
             if "disk_full" in row:
                 self.disk_full = row["disk_full"]
@@ -234,7 +234,7 @@ class _Run:
     def _take_from_others(self) -> None:
         """Take the rows of scenes that other processes have computed.
 
-        One process at a time asks, when its own scenes are released, so that the last one of a run has all rows.
+        Processes do this one at a time, after they have released their own scenes, so that the last one gets all rows.
         """
         for name, task in list(self.elsewhere.items()):
             if self.lock.claim(name):
@@ -245,7 +245,7 @@ class _Run:
                 del self.elsewhere[name]
 
     def _tell_of_gone(self, rows: Iterable[Row]) -> None:
-        """Tell of scenes of earlier calls whose input was removed: the report and the folder still have them."""
+        """Print scenes of earlier calls whose input was removed; report and folder still have them."""
         others = [row for row in rows if row["scene"] not in self.plan.names]
         if gone := [row["scene"] for row in others if is_gone(str(row.get("source")))]:
             more = f" and {len(gone) - 1} more" if len(gone) > 1 else ""
@@ -259,7 +259,7 @@ class _Run:
         self.warnings.add(row["scene"], row.get("warnings") or [])
 
     def _sum_up(self) -> None:
-        """Report scenes that were left out, or raise for them."""
+        """Print or raise the reasons for missing scenes."""
         n_failed = sum(row["status"] == "failed" for row in self.rows.values())
         n_all = len(self.plan.names)
         left = n_all - len(self.rows) - len(self.elsewhere)

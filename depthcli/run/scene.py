@@ -38,10 +38,10 @@ from depthcli.run.records import Record, digest, digests_below, file_digest, ins
 from depthcli.show.table import Row
 
 BUG = "a bug in depthcli: "
-"""Prefix of the error of a scene that failed by a fault of the program."""
+"""Prefix of the error of a scene that failed because of a bug."""
 GOES_ON = "the same command goes on where it stopped"
 
-# Packages whose versions change results; part of the run's identity.
+# Packages whose versions may change results; the versions are part of the run's identity.
 _LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image", "PyMaxflow")
 _MAX_TRACE_NAME = 200  # bytes of a scene's name in the name of its traceback; a file's name has 255
 _MAX_NAMED = 20  # files in a message
@@ -50,7 +50,7 @@ _KEPT_SHARE = 16  # of the memory that a process may use, for arrays of its next
 
 @dataclass(frozen=True)
 class Work:
-    """What workers get: the job, how it is carried out, and the plug-ins that take part."""
+    """The work for workers: the job, options for its execution, and its plug-ins."""
 
     job: Job[Any]
     how: Execution
@@ -58,7 +58,7 @@ class Work:
 
     @property
     def text(self) -> str:
-        """The text of ``run.yaml``: the resolved config, which can be used as CONFIG again, and all versions here."""
+        """The text of ``run.yaml``: the resolved config, which can be used as CONFIG again, and all versions."""
         versions = {"depthcli": __version__, "python": platform.python_version()}
         for name in _LIBRARIES:
             with contextlib.suppress(metadata.PackageNotFoundError):
@@ -72,7 +72,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Task:
-    """One scene to compute in the folder ``hidden``; ``inputs`` are role -> digest of inputs of the result."""
+    """A scene to compute in the folder ``hidden``; ``inputs`` are role -> digest of the result's inputs."""
 
     scene: Scene
     output: Path
@@ -80,7 +80,7 @@ class Task:
     run: str
     inputs: dict[str, str]
     source: str
-    watched: dict[Path, tuple[str, object]]  # file -> its digest among ``inputs``, and its state before
+    watched: dict[Path, tuple[str, object]]  # file -> its digest and its state before reading
 
     @property
     def target(self) -> Path:
@@ -89,35 +89,35 @@ class Task:
 
     @property
     def trace(self) -> Path:
-        """The file with the traceback of a bug."""
+        """The path for a bug's traceback."""
         name = self.scene.name.replace("/", "_")
         if len(os.fsencode(name)) > _MAX_TRACE_NAME:
             name = f"{name[:40]}-{digest(os.fsencode(name))[:16]}"
         return self.output / f"traceback-{name}.txt"
 
     def done(self, outcome: Outcome, used: Mapping[str, float], warnings: Sequence[str]) -> Row:
-        """Return the row of the report for a scene that was computed, by programs that ``used`` time and memory."""
+        """Return the row of a computed scene; ``used`` has the time and memory of external programs."""
         row: Row = {"scene": self.scene.name, "status": "done", "error": "", **outcome.facts}
         row["seconds"] = {name: round(value, 6) for name, value in outcome.seconds.items()}
         row |= {"peak_memory": resources.peak_memory(), **used, "source": self.source}
         return row | {"warnings": list(dict.fromkeys([*outcome.warnings, *warnings]))}
 
     def failed(self, error: str) -> Row:
-        """Return the row of the report for a scene that failed."""
+        """Return the row of a failed scene."""
         error = without_secrets(error)
         row: Row = {"scene": self.scene.name, "status": "failed", "error": error, "seconds": {}, "peak_memory": None}
         return row | {"source": self.source, "warnings": []}
 
     def is_done(self, known: Record) -> bool:
-        """Return True where a record of the scene is of this run and of these inputs, and its files are unchanged."""
+        """Return whether a record has this run and these inputs, and its files are unchanged."""
         return known.is_done(self.target, self.run, self.inputs)
 
     def record(self, row: Row, files: dict[str, str]) -> Record:
-        """Return the record of the scene with this row."""
+        """Return the record of the scene."""
         return Record(self.scene.name, self.run, self.inputs, files, row)
 
     def died(self, reason: str, work: Work) -> Row:
-        """Return the row of the scene, recorded as failed, whose worker was killed each time."""
+        """Record the scene as failed, since its worker was killed in each try, and return its row."""
         row = self.failed(reason)
         record_failure(self.target, self.record(row, {}), work.how.overwrite)
         return row
@@ -126,18 +126,18 @@ class Task:
 def compute_scene(task: Task, work: Work, limit: int, latest: Latest | None = None) -> Row:
     """Compute a scene with at most ``limit`` bytes, write its record and return its row.
 
-    ``latest`` holds results that the scenes of this process share.
+    ``latest`` has results that the scenes of this process share.
 
-    Where a disk was full, the row has the key ``disk_full`` with the place, the reason and the bytes that are free, and
-    nothing is recorded.
+    If a disk was full, the row has the key ``disk_full`` with the place, the reason and the free bytes, and nothing is
+    recorded.
     """
     return computed_scene(task, work, limit, latest)()
 
 
 def computed_scene(task: Task, work: Work, limit: int, latest: Latest | None = None) -> Callable[[], Row]:
-    """Compute a scene into its hidden folder; return the function that finishes as :func:`compute_scene` does.
+    """Compute a scene into its hidden folder; return a function that finishes it as :func:`compute_scene` does.
 
-    That waits for the disk, which it may do in another thread while the next scene is computed.
+    The function waits for the disk. It may run in another thread while the next scene is computed.
     """
     resources.reset_peak()
     opened, done = None, False
@@ -146,14 +146,14 @@ def computed_scene(task: Task, work: Work, limit: int, latest: Latest | None = N
             task.scene.check()
             lines += task.scene.warnings
             task.hidden.mkdir(parents=True)
-            opened = os.open(task.hidden, os.O_RDONLY)  # while it is open, no other folder gets its inode number
+            opened = os.open(task.hidden, os.O_RDONLY)  # no other folder can get its inode number while it is open
             context = Context(limit, task.scene.name, limit, latest or Latest())
             outcome = work.job.compute(task.scene, task.hidden, context)
             row, done = task.done(outcome, context.used, lines), True
         except (KeyboardInterrupt, Terminated):
             _leave(task, opened)
             raise
-        except BaseException as error:  # a plug-in may exit, or panic as those in Rust: that ends its scene alone
+        except BaseException as error:  # plug-ins may exit, or panic in Rust; only their scene fails
             row = _failed_row(task, error) | {"warnings": lines}
     return partial(_finished, task, work, limit, row, done, opened)
 
@@ -167,7 +167,7 @@ def _finished(task: Task, work: Work, limit: int, row: Row, done: bool, opened: 
             raise
         except BaseException as error:
             row, done = _failed_row(task, error) | {"warnings": row["warnings"]}, False
-        # Another process may have taken the scene over where this run was ended while it was computed.
+        # If this run was ended meanwhile, another process may compute the scene now.
         if not done and "disk_full" not in row and (opened is None or _is_open(task.hidden, opened)):
             record_failure(task.target, task.record(row, {}), work.how.overwrite)
     finally:
@@ -175,7 +175,7 @@ def _finished(task: Task, work: Work, limit: int, row: Row, done: bool, opened: 
         _leave(task, opened)
     if place := row.get("disk_full"):
         row["disk_full"] = row["error"]
-        with contextlib.suppress(OSError):  # the files of this scene have been deleted by now
+        with contextlib.suppress(OSError):  # this scene's files are already deleted
             row["disk_full"] += f" ({show_bytes(shutil.disk_usage(place).free)} free on that disk)"
     return row
 
@@ -218,7 +218,7 @@ def _keep_only(patterns: Sequence[str], folder: Path) -> None:
 
 
 def _failed_row(task: Task, error: BaseException) -> Row:
-    """Return the row of a scene whose computation raised ``error``, which is being handled."""
+    """Return the row of a scene whose computation raised ``error``; call it while the error is handled."""
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT):

@@ -1,4 +1,4 @@
-"""Scenes computed in this process, or in worker processes of this machine (on a cluster: ``cluster``).
+"""Compute scenes in this process or in worker processes of this machine; ``cluster`` uses other machines.
 
 A worker process that is killed costs one scene at most. A worker waits for the disk in a thread of its own, while it
 computes the next scene.
@@ -52,12 +52,12 @@ def _n_threads() -> int:
     return 1
 
 
-_N_AT_IMPORT = _n_threads()  # those of OpenBLAS, which it ends before a fork
-_has_threads = threading.Event()  # of kernels, even if it is a single one
+_N_AT_IMPORT = _n_threads()  # threads of OpenBLAS, which ends them before a fork
+_has_threads = threading.Event()  # set once kernels have threads, even a single one
 
 
 def _may_fork() -> bool:
-    """Return whether processes can be copies of this one: on Linux, before it has threads, which no copy would have."""
+    """Return whether this process can be forked: on Linux, before it has threads, which would be missing in forks."""
     return sys.platform == "linux" and not _has_threads.is_set() and _n_threads() <= _N_AT_IMPORT
 
 
@@ -69,7 +69,7 @@ def use_threads(count: int) -> None:
 
 
 def counted(compute: Callable[[], _T], watch: CompileWatch) -> tuple[_T, int, float]:
-    """Compute a scene; return its row, the number of kernels that were compiled for it, and their seconds."""
+    """Compute a scene; return its result, the number of kernels compiled for it, and their seconds."""
     kernels, seconds = watch.calls, watch.seconds
     row = compute()
     return row, watch.calls - kernels, watch.seconds - seconds
@@ -82,7 +82,7 @@ def _announce_compilation(reporter: Reporter, watch: CompileWatch | None = None)
 
 
 def report_compilation(reporter: Reporter, kernels: int, seconds: float) -> None:
-    """Say how many kernels were compiled, if any."""
+    """Print the number of compiled kernels, if any."""
     if kernels:
         kept = f", kept in {cache_folder()}" if cache_folder() else ""
         reporter.info(f"compiled {kernels} kernels in {seconds:.1f} s{kept}")
@@ -91,14 +91,14 @@ def report_compilation(reporter: Reporter, kernels: int, seconds: float) -> None
 def compute_on_this_machine(
     tasks: Iterable[Task], work: Work, reporter: Reporter, scenes: Sequence[Scene]
 ) -> Generator[Row, None, None]:
-    """Yield the rows of the tasks of ``scenes``, computed in this process or in as many as ``--jobs`` says.
+    """Yield the rows of the tasks of ``scenes``, computed in this process or in ``--jobs`` processes.
 
-    Without a number, many scenes are computed in as many processes as the cores and the memory take, if these can be
-    copies of this one. Otherwise they are computed here until their time tells that processes finish the others sooner.
-    Each process may take as much memory as this one, so that their number changes no map.
+    Without a number, many scenes are computed in as many processes as cores and memory allow, if processes can be
+    forked. Otherwise scenes are computed here until their time shows that processes would finish the rest sooner. Each
+    process may use as much memory as this one, so that their number does not change maps.
     """
     tasks, how = iter(tasks), work.how
-    need = cache(lambda: _largest_need(work.job, scenes))  # which takes a look into every file
+    need = cache(lambda: _largest_need(work.job, scenes))  # cached, since it opens every file
 
     def in_processes(jobs: int, left: int) -> Generator[Row, None, None]:
         reporter.detail(f"{jobs} processes compute {left} scenes")
@@ -106,7 +106,7 @@ def compute_on_this_machine(
         return compute_in_processes(tasks, replace(work, how=divided), reporter, jobs)
 
     jobs, n_scenes = min(how.jobs or 1, len(scenes)), len(scenes)
-    is_free = how.jobs is None and cache_folder() is not None  # where kernels are not kept, each would compile its own
+    is_free = how.jobs is None and cache_folder() is not None  # otherwise each process would compile kernels
     if is_free and n_scenes >= _MIN_SCENES and _may_fork():
         jobs = n_processes(how, n_scenes, 1.0, 1.0, need, start=0.0)
     if jobs > 1:
@@ -121,7 +121,7 @@ def compute_on_this_machine(
             took = time.perf_counter() - begun, time.process_time() - begun_busy
             report_compilation(reporter, kernels, seconds)
             yield row
-            # The first scene loads or compiles kernels; any may have waited for the disk.
+            # The first scene loads or compiles kernels. Any scene may have waited for the disk.
             if is_free and number > 1:
                 jobs = n_processes(how, n_scenes - number, *min(took, last), need)
                 if jobs > 1:
@@ -136,13 +136,13 @@ def compute_on_this_machine(
 def n_processes(
     how: Execution, left: int, took: float, busy: float, need: Callable[[], int | None], start: float = _START_SECONDS
 ) -> int:
-    """Return how many processes compute the ``left`` scenes soonest; 1: this one, as starting others takes longer.
+    """Return the number of processes that finish the ``left`` scenes soonest; 1 means this process.
 
     Parameters
     ----------
-    took, busy : seconds of a scene here, and of all cores together, of which several processes save nothing
-    need : returns the largest bytes of a scene, None where they are not known
-    start : seconds until processes work
+    took, busy : wall time per scene, and CPU time per scene, which parallel processes cannot reduce; seconds
+    need : returns the largest memory of a scene in bytes, or None if it is unknown
+    start : seconds to start processes
     """
 
     def seconds(jobs: int) -> float:
@@ -160,35 +160,35 @@ def n_processes(
 def _largest_need(job: Job[Any], scenes: Sequence[Scene]) -> int | None:
     needs: list[int | None] = [0]
     for scene in scenes:
-        with contextlib.suppress(InputError):  # it will fail
+        with contextlib.suppress(InputError):  # the scene will fail
             needs.append(0 if scene.problem else job.memory_bound(scene))
     return None if None in needs else max(need or 0 for need in needs)
 
 
 @dataclass(eq=False)
 class _Worker:
-    """A worker process as its parent sees it: the tasks that it computes and finishes, each with how often it tried."""
+    """A worker process in its parent, with the tasks that it computes and finishes and their numbers of tries."""
 
     process: multiprocessing.process.BaseProcess
     pipe: connection.Connection
     computing: tuple[Task, int] | None = None
-    finishing: tuple[Task, int] | None = None  # the one before, which waits for the disk
+    finishing: tuple[Task, int] | None = None  # the previous task, which waits for the disk
 
 
 def compute_in_processes(
     tasks: Iterable[Task], work: Work, reporter: Reporter, jobs: int
 ) -> Generator[Row, None, None]:
-    """Yield the rows of the tasks, computed by ``jobs`` processes, in the order in which they are finished.
+    """Yield the rows of the tasks as ``jobs`` processes finish them.
 
-    If kernels have to be compiled for the first scenes, the process that begins with it computes alone until its scene
-    is done: the others are ended, instead of compiling the same ones.
+    If the first scenes need new kernels, the process that compiles first computes alone until its scene is computed;
+    the others are ended, so that they do not compile the same kernels.
     """
     waiting, retried = iter(tasks), list[tuple[Task, int]]()
     workers: list[_Worker] = []
     alone, compiled = False, False
     try:
-        with _ctrl_c_later():  # so that those that have started are ended
-            for _ in range(jobs):  # side by side
+        with _ctrl_c_later():  # so that all started processes are ended
+            for _ in range(jobs):  # they start in parallel
                 workers.append(_start(work))
         while True:
             while sum(worker.computing is not None for worker in workers) < (1 if alone else jobs):
@@ -200,7 +200,7 @@ def compute_in_processes(
                     with _ctrl_c_later():
                         workers.append(worker := _start(work))
                 worker.computing = task, tries + 1
-                with contextlib.suppress(OSError):  # it has died meanwhile, which is seen below
+                with contextlib.suppress(OSError):  # it has died meanwhile, which recv reports below
                     worker.pipe.send(task)
             busy = {worker.pipe: worker for worker in workers if worker.computing or worker.finishing}
             if not busy:
@@ -209,7 +209,7 @@ def compute_in_processes(
                 worker = busy[pipe]  # type: ignore[index]
                 try:
                     message = worker.pipe.recv()
-                except (EOFError, OSError):  # the process is no more
+                except (EOFError, OSError):  # the process has ended
                     worker.process.join()
                     workers.remove(worker)
                     killed = worker.process.exitcode == -signal.SIGKILL
@@ -246,11 +246,11 @@ def compute_in_processes(
 def _start(work: Work) -> _Worker:
     context: Any = multiprocessing.get_context("fork" if _may_fork() else "spawn")
     ours, theirs = context.Pipe()
-    # A process that is no copy of this one unpickles its arguments before it runs anything.
+    # A spawned process unpickles its arguments before it loads plug-ins, so that the work is pickled separately.
     arguments = theirs, tuple(plugin.source for plugin in loaded.values()), pickle.dumps(work)
     process = context.Process(target=_serve, args=arguments, daemon=True)
     if context.get_start_method() == "spawn":
-        resource_tracker.ensure_running()  # started with the first process, it would lift the block for that one
+        resource_tracker.ensure_running()  # starting it with the first process would unblock Ctrl-C there
     process.start()
     theirs.close()
     return _Worker(process, ours)
@@ -258,9 +258,9 @@ def _start(work: Work) -> _Worker:
 
 @contextlib.contextmanager
 def _ctrl_c_later() -> Iterator[None]:
-    """Keep Ctrl-C back, which reaches all processes: one that is starting would answer with a traceback.
+    """Delay Ctrl-C, which reaches all processes: a starting process would print a traceback.
 
-    The process inherits the block. Here, any thread may get the signal, so the handler is replaced, too.
+    New processes inherit the block. The handler is replaced, too, since any thread of this process may get the signal.
     """
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
         yield
@@ -278,14 +278,14 @@ def _ctrl_c_later() -> Iterator[None]:
 
 
 def _serve(pipe: connection.Connection, plugins: Iterable[str], pickled: bytes) -> None:
-    """Compute the tasks that come through the pipe, of the pickled work, until the parent closes it."""
+    """Compute the tasks from the pipe, for the pickled work, until the parent closes the pipe."""
 
-    def end_with(parent: Any) -> None:  # which may be killed: no worker may continue to write
+    def end_with(parent: Any) -> None:  # if the parent is killed, workers must not continue to write
         parent.join()
         os._exit(1)
 
     silence_warnings()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what Ctrl-C does
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
     for plugin in plugins:
@@ -309,7 +309,7 @@ def _serve(pipe: connection.Connection, plugins: Iterable[str], pickled: bytes) 
         finished: Future[None] | None = None
         while True:
             task = pipe.recv()
-            shutil.rmtree(task.hidden, ignore_errors=True)  # left by a worker that died
+            shutil.rmtree(task.hidden, ignore_errors=True)  # a worker that died may have left it
             computed = counted(partial(computed_scene, task, work, limit, latest), watch)
             if finished is not None:
                 finished.result()

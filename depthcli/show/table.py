@@ -229,13 +229,13 @@ FORMATS: dict[str, Callable[[Sequence[Table]], str]] = {
 
 
 def share(values: Any) -> float:
-    """Return the mean of an array, such as the share of pixels that are True, as in reports."""
+    """Return the mean of an array, such as the share of True pixels, rounded for reports."""
     return round(float(values.mean()), 6)
 
 
 def median(values: Any) -> float | None:
-    """Return the median of the numbers of an array that are not NaN, as in reports; None where there is none."""
-    known = values[values == values]  # this module is imported before numpy
+    """Return the median of an array without NaN, rounded for reports, or None if all are NaN."""
+    known = values[values == values]  # not np.isnan, since this module does not import numpy
     if not known.size:
         return None
     known.sort()

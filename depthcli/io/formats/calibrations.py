@@ -1,7 +1,7 @@
 """Calibrations as programs and data sets store them.
 
-Two cameras that are not rectified (OpenCV, ROS, Kalibr, KITTI, ZED), rectified pairs (Middlebury's ``calib.txt``,
-KITTI's projections, Booster's XML, FoundationStereo's ``K.txt``), and color with infrared.
+They describe two unrectified cameras (OpenCV, ROS, Kalibr, KITTI, ZED), a rectified pair (Middlebury's ``calib.txt``,
+KITTI's projections, Booster's XML, FoundationStereo's ``K.txt``), or a color and an infrared camera.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ from depthcli.io.formats.plain_text import image_sides, is_number, json_object, 
 ValueT = TypeVar("ValueT")
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""Meters of the units that a length may be given in."""
+"""Unit of a length -> meters."""
 
 _MILLIMETER = 0.001  # meters
 _LENGTH = re.compile(r"\s*([0-9]*\.?[0-9]+)?\s*(mm|cm|m)\s*")
 _UNKNOWN = "no calibration of a kind that is known"
-# Files with nested fields: XML, JSON, YAML of OpenCV, ROS and Kalibr. The others have a key and its numbers in a line.
+# Files with nested fields: XML, JSON, YAML of OpenCV, ROS and Kalibr. Other files have a key and numbers per line.
 _STORAGE = re.compile(
     r"\A\s*[<{%]|!!opencv|^cam0:\s*(\{|$)|^(camera_matrix|[KM]1|cameraMatrix1|distortion_model):", re.MULTILINE
 )
 _MAX_BYTES = 1 << 24  # a calibration has a few kilobytes
-_MAX_LISTS = 1000  # in YAML; a calibration has some tens
-_MAX_PARTS = 10_000  # messages of a file of ROS
-# Meters. No usual rig has a baseline outside of the first two, and few have one above the third: the translation is in
-# another unit then, unless the user says which.
+_MAX_LISTS = 1000  # in YAML; a calibration has a few dozen
+_MAX_PARTS = 10_000  # messages in a ROS file
+# Meters. A baseline outside _BASELINES means that the translation has another unit, which the user must give. Few rigs
+# have a baseline above _LONG_BASELINE.
 _BASELINES, _LONG_BASELINE = (0.005, 5.0), 1.0
-# Names of the parts in files of OpenCV.
+# Part -> its names in OpenCV's files.
 _NAMES = {
     "K1": ("K1", "M1", "cameraMatrix1", "camera_matrix_1", "left_camera_matrix", "K_left"),
     "D1": ("D1", "distCoeffs1", "dist_coeffs_1", "left_distortion_coefficients", "D_left"),
@@ -54,20 +54,20 @@ _NAMES = {
     "R": ("R", "rotation", "rotation_matrix"),
     "T": ("T", "t", "translation", "translation_vector"),
 }
-# Distortion models of the programs' files: whether OpenCV's fisheye model is meant.
+# Name of a distortion model -> whether it is OpenCV's fisheye model.
 _KALIBR = {"radtan": False, "equidistant": True, "equi": True, "none": False}
 _ROS = {"plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True, "": False}
 _ZED = re.compile(r"^\s*\[(LEFT|RIGHT)_CAM_\w+\]", re.MULTILINE | re.IGNORECASE)
 _ZED_LENS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-_K_NUMBERS = 10  # of FoundationStereo's file: K, row by row, and the baseline
+_K_NUMBERS = 10  # numbers in FoundationStereo's file: K, row by row, and the baseline
 
 
-# ZED's names of the sizes of its images.
+# ZED's names of image sizes.
 _ZED_SIZES = {
     "2K": (2208, 1242), "FHD1200": (1920, 1200), "FHD": (1920, 1080), "HD": (1280, 720), "VGA": (672, 376),
     "SVGA": (960, 600), "QHDPLUS": (3200, 1800), "4K": (3840, 2160),
 }  # fmt: skip
-_ROS_NAMES = {  # of a message, as ``ros2 topic echo`` prints it, and of the files of ROS
+_ROS_NAMES = {  # field of a message, as ``ros2 topic echo`` prints it -> field of ROS's calibration files
     "k": "camera_matrix", "d": "distortion_coefficients", "r": "rectification_matrix", "p": "projection_matrix",
     "width": "image_width", "height": "image_height",
 }  # fmt: skip
@@ -75,20 +75,20 @@ _ROS_NAMES = {  # of a message, as ``ros2 topic echo`` prints it, and of the fil
 
 @dataclass(frozen=True)
 class Reading:
-    """What a user says of a calibration file beside its name."""
+    """User options for reading a calibration file."""
 
-    unit: str | None = None  # of its lengths; None: its format's, meters of most
-    fisheye: bool = False  # the lenses of OpenCV's file follow its fisheye model; the other formats name the model
-    cameras: tuple[int, int] = (2, 3)  # numbers of the left and the right camera, in KITTI's files
+    unit: str | None = None  # unit of lengths; None: the format's unit, mostly meters
+    fisheye: bool = False  # OpenCV's file has its fisheye model; other formats name the model
+    cameras: tuple[int, int] = (2, 3)  # numbers of the left and the right camera in KITTI's files
     alpha: float = 0.0  # extent of the rectified images, see :meth:`Rig.rectified`
-    asks: bool = True  # for the unit, if the baseline is an unusual one
+    asks: bool = True  # whether an implausible baseline without a unit is an error
 
     def meters(self, usual: float = 1.0) -> float:
-        """Return the meters of a unit of the file, ``usual`` if the user does not say."""
+        """Return the length of the file's unit in meters, or ``usual`` if the user gave no unit."""
         return usual if self.unit is None else meters_of(self.unit)
 
     def check(self, baseline: float) -> None:
-        """Raise InputError if no usual rig has this baseline, in meters, and the user does not say the unit."""
+        """Raise InputError if a baseline, in meters, is implausible and the user gave no unit; warn if it is long."""
         low, high = _BASELINES
         if self.unit is not None or not self.asks:
             return
@@ -102,7 +102,7 @@ class Reading:
 
 
 def meters_of(length: str) -> float:
-    """Return the meters of a unit, ``mm``, or of a length with its unit, ``24mm``; InputError if it is neither."""
+    """Return a unit (``mm``) or a length with its unit (``24mm``) in meters. Raise InputError for other texts."""
     match = _LENGTH.fullmatch(length)
     meters = float(match[1] or 1) * UNITS[match[2]] if match else 0.0
     if not meters > 0:
@@ -111,14 +111,14 @@ def meters_of(length: str) -> float:
 
 
 def read_rig(paths: Sequence[Path], reading: Reading | None = None, size: tuple[int, int] | None = None) -> Rig:
-    """Return the two cameras of a calibration, whose kind is found by its content.
+    """Return the two cameras of a calibration, whose format is recognized by its content.
 
     Parameters
     ----------
     paths : one file, or two that belong together: OpenCV's ``FileStorage`` as YAML, XML or JSON (K1 D1 K2 D2 R T in
-        either), ROS's ``camera_info`` of the left and the right camera, Kalibr's camchain, KITTI's
+        either file), ROS's ``camera_info`` of the left and the right camera, Kalibr's camchain, KITTI's
         ``calib_cam_to_cam``, ZED's ``SN12345.conf``
-    size : (width, height) of the images, by which ZED's file is read; None: its first
+    size : (width, height) of the images, which selects the cameras in ZED's file; None: the first size in the file
     """
     texts = [text_of(read_bytes(path, _MAX_BYTES)) for path in paths]
     with naming(paths[0]), warnings_naming(paths[0]):
@@ -145,16 +145,16 @@ def _rig(texts: Sequence[str], reading: Reading, size: tuple[int, int] | None = 
 
 
 def _only(files: Sequence[ValueT]) -> ValueT:
-    """Return the one file of a calibration; InputError for several."""
+    """Return the only file of a calibration. Raise InputError if there are several."""
     if len(files) > 1:
         raise InputError("such a file is a whole calibration; give one of them")
     return files[0]
 
 
 def write_calibration(path: Path, cameras: Sequence[Camera], rig: Rig | None = None) -> None:
-    """Write one camera (K1 D1), or two and their places in meters (K1 D1 K2 D2 R T), as OpenCV's YAML.
+    """Write one camera (K1 D1), or two with R and T in meters (K1 D1 K2 D2 R T), as OpenCV's YAML.
 
-    :func:`read_rig` reads the latter.
+    :func:`read_rig` reads files of two cameras.
     """
     lines = ["%YAML:1.0", "---"]
     if len({camera.size for camera in cameras}) == 1 and cameras[0].size is not None:
@@ -179,19 +179,19 @@ def read_geometry(
     size: tuple[int, int] | None = None,
     rectified: Path | None = None,
 ) -> PairGeometry:
-    """Return how the disparities of a rectified pair become depth.
+    """Return the geometry that converts disparities of a rectified pair to depth.
 
     Files are ``calib.txt`` of Middlebury v3 or ETH3D (``cam0``, ``cam1``, ``doffs``, ``baseline`` in mm); Booster's XML
     (``proj_matL``, ``baselineLR`` in mm); KITTI's projections, ``P0:`` to ``P3:`` or ``P_rect_00:`` to ``P_rect_03:``
-    (DrivingStereo: ``P_rect_101:``), of whose ``cameras`` 0, 1 are grey and 2, 3 color (DrivingStereo: 101, 103);
-    FoundationStereo's ``K.txt`` (9 numbers of K, then the baseline in meters); or all that :func:`read_rig` reads.
+    (cameras 0 and 1 are grey, 2 and 3 color; DrivingStereo has ``P_rect_101:`` and cameras 101, 103);
+    FoundationStereo's ``K.txt`` (9 numbers of K, then the baseline in meters); or any file that :func:`read_rig` reads.
 
     Parameters
     ----------
     paths : a file, or two that belong together
-    size : (width, height) of the map, for cameras that are not rectified
-    rectified : ``calib.txt`` that was written when the cameras' images were rectified; it counts for those instead of
-        the files' own projections (``P1``, ``P2``, ROS's ``projection_matrix``), or of what ``depthcli rectify`` does
+    size : (width, height) of the map, for unrectified cameras
+    rectified : ``calib.txt`` written when the images of unrectified cameras were rectified. It replaces the files' own
+        projections (``P1``, ``P2``, ROS's ``projection_matrix``) and the rectification of ``depthcli rectify``
     """
     files, reading = [paths] if isinstance(paths, Path) else list(paths), reading or Reading()
     texts = [text_of(read_bytes(path, _MAX_BYTES)) for path in files]
@@ -218,7 +218,7 @@ def read_geometry(
 
 
 def _rectified_geometry(texts: Sequence[str], reading: Reading) -> PairGeometry | None:
-    """Return the geometry in a file of a rectified pair that has a line for a key, or numbers alone; else None."""
+    """Return the geometry in a rectified pair's file of key-value lines or plain numbers, or None for other files."""
     fields = key_values(texts[0])
     if "cam0" in fields:
         return _middlebury_geometry(key_values(_only(texts)), reading.meters(_MILLIMETER))
@@ -235,7 +235,7 @@ def _rectified_geometry(texts: Sequence[str], reading: Reading) -> PairGeometry 
 
 
 def write_geometry(path: Path, geometry: PairGeometry, max_disparity: int | None = None) -> None:
-    """Write ``calib.txt`` as Middlebury v3 has it (baseline in mm, ``ndisp`` the search range)."""
+    """Write Middlebury v3's ``calib.txt`` (baseline in mm, ``ndisp`` is the search range)."""
     left, offset = geometry.left, geometry.offset
     lines = [
         f"cam{k}=[{left.fx:.12g} 0 {cx:.12g}; 0 {left.fy:.12g} {left.cy:.12g}; 0 0 1]"
@@ -249,13 +249,14 @@ def write_geometry(path: Path, geometry: PairGeometry, max_disparity: int | None
 
 
 def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_size: tuple[int, int]) -> Rig | float:
-    """Return the calibration of a color and an infrared camera, ``left`` and ``right`` of the rig.
+    """Return the calibration of a color (``left``) and an infrared camera (``right``) for images of these sizes.
 
-    JSON has ``color`` and ``infrared``, each with ``K`` (3, 3), and where known ``distortion`` and ``size``, and
-    ``R`` (3, 3), ``t`` (3,) in meters, from the color camera's frame to the infrared camera's; or ``rectified: true``
-    with ``fb``. Other files are those of :func:`read_rig`, the first camera the color one.
+    Sizes are (width, height). For a rectified pair, return focal length x baseline in pixel meters.
 
-    Of images of these sizes (width, height); a float is focal length x baseline (pixel meters) of rectified ones.
+    JSON has ``color`` and ``infrared``, each with ``K`` (3, 3) and optional ``distortion`` and ``size``, and ``R``
+    (3, 3), ``t`` (3,) in meters, from the color camera's frame to the infrared camera's. A rectified pair has
+    ``rectified: true`` and ``fb`` instead. Files of :func:`read_rig` are read, too; their first camera is the color
+    camera.
     """
     text = text_of(read_bytes(path, _MAX_BYTES))
     with naming(path):
@@ -284,7 +285,7 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
         low, high = _BASELINES
         if not low <= rig.baseline <= high:
             raise InputError(f"a baseline of {rig.baseline:.3g} m; the translation must be in meters")
-        if color_size == infrared_size or rig.left.size != rig.right.size:  # OpenCV's files have one size for both
+        if color_size == infrared_size or rig.left.size != rig.right.size:  # OpenCV's files have only one size
             for name, camera, image in (("color", rig.left, color_size), ("infrared", rig.right, infrared_size)):
                 if camera.size not in (None, image):
                     raise InputError(f"calibrated for a {name} image of {camera.size}, got one of {image}")
@@ -292,7 +293,7 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
 
 
 def _field(fields: Mapping[str, Any], key: str, shape: tuple[int, ...] = (-1,)) -> NDArray[np.float64]:
-    """Return the numbers of a field, or of the ``data`` of a matrix."""
+    """Return the numbers of a field, or of its ``data`` if it is a matrix."""
     value = fields.get(key)
     return numbers(value.get("data") if isinstance(value, dict) else value, key, shape)
 
@@ -304,14 +305,14 @@ def _number(fields: Mapping[str, Any], key: str) -> float:
 def _camera(
     fields: Mapping[str, Any], matrix: str, lens: str, size: tuple[int, int] | None = None, fisheye: bool = False
 ) -> Camera:
-    """Return a camera of the fields called ``matrix`` and ``lens``."""
+    """Return the camera in the fields called ``matrix`` and ``lens``."""
     return Camera(_field(fields, matrix, (3, 3)), tuple(_field(fields, lens).tolist()), size, fisheye)
 
 
 def _storage_fields(text: str) -> dict[str, Any]:
-    """Return the content of a file of JSON, XML or YAML, as OpenCV's ``FileStorage``; InputError if it is unreadable.
+    """Return the content of a JSON, XML or YAML file, e.g. OpenCV's ``FileStorage``. Raise InputError on failure.
 
-    OpenCV's own reader is not used: for some damaged files it never ends, or ends the process.
+    OpenCV's reader is not used: some damaged files make it hang or end the process.
     """
     text = text.lstrip()
     fields: Any = None
@@ -323,7 +324,7 @@ def _storage_fields(text: str) -> dict[str, Any]:
             fields = {part.tag: {each.tag: each.text or "" for each in part} or part.text or "" for part in parts}
         else:
             text = _first_part(re.sub(r"\A%YAML.*|!!opencv-[\w-]+", "", text))
-            # Lists thousands deep take hours, and a few aliases may expand to billions of numbers.
+            # Thousands of nested lists take hours, and a few aliases may expand to billions of numbers.
             if text.count("[") > _MAX_LISTS or any(isinstance(each, yaml.AliasToken) for each in yaml.scan(text)):
                 raise InputError(f"{_UNKNOWN} (YAML with aliases, or too many lists)")
             fields = yaml.safe_load(text)
@@ -335,7 +336,7 @@ def _storage_fields(text: str) -> dict[str, Any]:
 
 
 def _first_part(text: str) -> str:
-    """Return the first document of YAML, such as a message of ROS; warn if others differ but for their times."""
+    """Return the first YAML document, e.g. a ROS message; warn if others differ in more than their times."""
     parts = [part for part in re.split(r"^---[ \t]*$", text, maxsplit=_MAX_PARTS, flags=re.MULTILINE) if part.strip()]
     alike = {re.sub(r"^\s*(n?secs?|nanosec|seq|stamp):.*$", "", part, flags=re.MULTILINE).strip() for part in parts}
     if len(alike) > 1:
@@ -344,7 +345,7 @@ def _first_part(text: str) -> str:
 
 
 def _ros_fields(fields: dict[str, Any]) -> dict[str, Any]:
-    """Return a message of ROS with the names that ROS's files have; other fields as they are."""
+    """Return a ROS message with the field names of ROS's files; other fields are returned unchanged."""
     small = {str(key).lower(): value for key, value in fields.items()}
     if not {"k", "d", "r", "p", "width", "height"} <= small.keys():
         return fields
@@ -431,15 +432,15 @@ def _ros_rig(files: Sequence[dict[str, Any]]) -> Rig:
                 "projection_matrix holds no baseline; is it the camera_info of a stereo pair, the left one first?"
             )
     shift = np.array([projection[0, 3] / projection[0, 0], projection[1, 3] / projection[1, 1], 0.0])
-    # Both frames meet in the rectified one: R' x' = R x + shift.
+    # Both frames map to the rectified frame: R' x' = R x + shift.
     return Rig(cameras[0], cameras[1], rotations[1].T @ rotations[0], rotations[1].T @ shift)
 
 
 def _zed_rig(text: str, reading: Reading, size: tuple[int, int] | None) -> Rig:
-    """Return the cameras for images of ``size`` (None: the first that the file has), in an ini file of Stereolabs.
+    """Return the cameras for images of ``size`` (None: the file's first size) from a Stereolabs ini file.
 
-    ``Baseline`` is how far the right camera is to the right, ``TY`` and ``TZ`` are OpenCV's, and ``RX``, ``CV``, ``RZ``
-    are the rotation vector; lengths are in millimeters.
+    ``Baseline`` is the distance to the right camera, ``TY`` and ``TZ`` are as in OpenCV, and ``RX``, ``CV``, ``RZ`` are
+    the rotation vector. Lengths are in millimeters.
     """
     parser = configparser.ConfigParser(strict=False, interpolation=None, comment_prefixes=("#", ";"))
     try:
@@ -508,7 +509,7 @@ def _kitti_geometry(fields: dict[str, str], reading: Reading) -> PairGeometry:
 
 
 def _projected(files: Sequence[dict[str, Any]], size: tuple[int, int] | None, meters: float) -> PairGeometry | None:
-    """Return the geometry by the projections that files of ROS or OpenCV have of the rectified cameras, or None."""
+    """Return the geometry from the rectified cameras' projections in ROS's or OpenCV's files, or None."""
     if files and "camera_matrix" in files[0]:
         left, right = (_field(fields, "projection_matrix", (3, 4)) for fields in files)
         return _of_projections(left, right, size, meters)

@@ -1,4 +1,4 @@
-"""Depth maps as files: codes of sensors and data sets, meters, and colored point clouds."""
+"""Depth maps as files: codes of sensors and data sets, meters; colored point clouds."""
 
 from __future__ import annotations
 
@@ -18,26 +18,25 @@ MILLIMETERS = 1000.0
 """Codes per meter of Kinect, NYU and ROS (``16UC1``, REP 118); TUM RGB-D has 5000, KITTI 256."""
 
 SENSOR = (0.35, 5.0)
-"""Median depths that are plausible for an indoor depth sensor, such as the Kinect, meters."""
+"""Plausible median depths of an indoor depth sensor such as the Kinect, meters."""
 
 _LARGEST_CODE = 65535
-_MAX_SHARE_BEYOND = 0.01  # of the depths beyond all codes, without a warning
-_MAX_SENSOR_DEPTH = 10.0  # meters, of 95 % of its pixels; the first Kinect's last code is at 9.7 m
-_ROOM = (0.2, 20.0)  # median depths that are plausible for a room, meters
+_MAX_SHARE_BEYOND = 0.01  # largest share of depths beyond the last code without a warning
+_MAX_SENSOR_DEPTH = 10.0  # largest 95 % quantile of a sensor's depths, meters; the first Kinect reaches 9.7 m
+_ROOM = (0.2, 20.0)  # plausible median depths of a room, meters
 
 MIN_DEPTH, MAX_DEPTH = 0.01, 100.0
-"""Median depths that are plausible at all, meters: from a macro lens to a street."""
+"""Plausible median depths of any scene, meters: from a macro lens to a street."""
 
-# Codes per meter of common files: millimeters, TUM RGB-D, RealSense L515, eighths and tenths of millimeters, KITTI,
-# centimeters, meters.
+# Codes per meter of common files: millimeters, TUM RGB-D, RealSense L515, 1/8 and 1/10 mm, KITTI, centimeters, meters.
 _COMMON_SCALES = (1000.0, 5000.0, 4000.0, 8000.0, 10_000.0, 256.0, 100.0, 1.0)
 
-_NO_DEPTH = (65504.0, 65535.0)  # largest numbers of half precision and of 16 bit, which mean no depth
-_RAW_CODE, _MIN_RAW_SHARE = 2047, 0.005  # the first Kinect's code of no depth; share of pixels that have it in raw maps
+_NO_DEPTH = (65504.0, 65535.0)  # largest float16 and uint16, which mean no depth
+_RAW_CODE, _MIN_RAW_SHARE = 2047, 0.005  # the first Kinect's code for no depth; its smallest share in raw maps
 
 
 def codes_of(values: NDArray[Any], path: Path | str) -> NDArray[np.uint16]:
-    """Return integers as codes of 16 bits; InputError for other numbers."""
+    """Return integers as 16-bit codes. Raise InputError for other numbers."""
     if values.dtype.kind not in "iu" or (values.dtype.itemsize > 1 and (values.min() < 0 or values.max() > 65535)):
         raise InputError(f"{shown(path)}: expected codes from 0 to 65535, got {values.dtype}")
     return values.astype(np.uint16)
@@ -52,9 +51,9 @@ def read_depth(
 ) -> NDArray[np.float32]:
     """Return a depth map, (H, W) float32, meters, NaN = unknown.
 
-    Codes (PNG, PGM, TIFF, integer npy) are rotated right by ``rotate`` bits (SUN RGB-D: 3) and divided by ``scale``,
-    codes per meter: None is 1000 for 16-bit codes. PFM, float npy, TIFF are in meters unless a scale is given and
-    ``scale_floats``. Unknown is what :func:`meters` says.
+    Integer codes (PNG, PGM, TIFF, npy) are rotated right by ``rotate`` bits (SUN RGB-D: 3) and divided by ``scale``,
+    codes per meter; the default for 16-bit codes is 1000. Floating-point values (PFM, npy, TIFF) are in meters, unless
+    ``scale_floats`` is set and a scale is given. :func:`meters` defines unknown values.
     """
     return meters(read_plane(path), scale, path, rotate, invalid, scale_floats)
 
@@ -67,11 +66,12 @@ def meters(
     invalid: float | None = None,
     scale_floats: bool = True,
 ) -> NDArray[np.float32]:
-    """Return (H, W) depths as float32 meters, NaN = unknown, of the numbers and options that :func:`read_depth` has.
+    """Convert stored numbers to (H, W) float32 meters, NaN = unknown, with the options of :func:`read_depth`.
 
-    Unknown are values that are no positive numbers, are ``invalid``, or the largest of 16 bit and half precision, and
-    depths beyond these, with a warning. There is a warning, which begins with ``name``, where the depths are
-    implausible. InputError: 8-bit codes, or what seem to be raw codes of a Kinect, without a scale.
+    Values that are not positive and finite, or are ``invalid``, are unknown. The largest uint16 and float16, and
+    greater depths, are unknown, too, with a warning. Implausible depths cause a warning that begins with ``name``.
+
+    Raise InputError for 8-bit codes, or codes that look like raw Kinect codes, without a scale.
     """
     if values.dtype.kind == "b":
         raise InputError(f"{shown(name)}: true or false, expected depths")
@@ -105,7 +105,7 @@ def meters(
 
 
 def _raw_share(codes: NDArray[np.uint16]) -> float:
-    """Return the share of the largest code of raw maps of a Kinect, 0 where the codes are others."""
+    """Return the share of the largest code of raw Kinect maps, or 0 if the codes do not look raw."""
     share = float(np.mean(codes == _RAW_CODE))
     return share if codes.max() == _RAW_CODE and share >= _MIN_RAW_SHARE else 0.0
 
@@ -113,10 +113,10 @@ def _raw_share(codes: NDArray[np.uint16]) -> float:
 def implausible_depth(
     path: Path | str, depth: NDArray[np.float32], scale: float, limits: tuple[float, float] = (MIN_DEPTH, MAX_DEPTH)
 ) -> str:
-    """Return a warning if the median depth is not within ``limits`` (meters), else an empty text.
+    """Return a warning if the median depth is outside ``limits`` (meters), otherwise an empty text.
 
-    With the limits ``SENSOR``, 5 % of depths beyond 10 m are a reason, too. It names codes per meter that would make
-    the depths fit a room, other than the ``scale`` that they were read with.
+    With the limits ``SENSOR``, more than 5 % of depths beyond 10 m cause a warning, too. The warning suggests codes per
+    meter, other than ``scale``, that would make the depths fit a room.
     """
     known = depth[np.isfinite(depth)]
     median = float(np.median(known)) if known.size else math.nan
@@ -131,7 +131,7 @@ def implausible_depth(
     fitting += [s for s in _COMMON_SCALES if limits != SENSOR and fits(s, *_ROOM)]
     read_as = "" if scale == 1 else f" at {scale:g} codes per meter"
     hint = f"; a depth scale of {fitting[0]:g} would fit" if fitting else ""
-    if fitting and scale == 1:  # floats, which have a unit rather than a scale
+    if fitting and scale == 1:  # floating-point depths have a unit rather than a scale
         units = {MILLIMETERS: " (millimeters)", 100.0: " (centimeters)"}
         best = next((s for s in units if s in fitting), fitting[0])
         hint = f"; divided by {best:g}{units.get(best, '')} it would fit"
@@ -140,13 +140,16 @@ def implausible_depth(
 
 
 def sensor_warning(path: Path | str, depth: NDArray[np.float32], scale: float) -> str:
-    """Return a warning if no such sensor sees depths of codes, except one that was given at reading; or empty."""
+    """Return a warning if depths are implausible for an indoor sensor only, otherwise an empty text.
+
+    :func:`meters` warns of depths that are implausible for any scene.
+    """
     text = "" if implausible_depth(path, depth, scale) else implausible_depth(path, depth, scale, SENSOR)
     return f"{text}; see depth_scale" if text else ""
 
 
 def check_fb(path: Path | str, fb: float, depth: NDArray[np.float32]) -> None:
-    """Warn where ``fb``, pixel meters, makes the median disparity of (H, W) meters wider than the image."""
+    """Warn if ``fb``, pixel meters, makes the median disparity of a depth map (H, W) larger than the image width."""
     known = depth[np.isfinite(depth)]
     disparity, width = fb / float(np.median(known)) if known.size else 0.0, depth.shape[1]
     if disparity > width:
@@ -159,10 +162,10 @@ def check_fb(path: Path | str, fb: float, depth: NDArray[np.float32]) -> None:
 def write_depth_png(
     path: Path | str, depth: NDArray[np.floating[Any]], scale: float = MILLIMETERS, rotate: int = 0
 ) -> None:
-    """Write (H, W) meters as 16-bit codes, ``depth x scale`` rounded, atomically; 0 = unknown.
+    """Write (H, W) meters atomically as 16-bit codes, ``depth x scale`` rounded; 0 = unknown.
 
-    Depths beyond the largest code are written as unknown: a nearer surface would be invented otherwise. A positive
-    depth below the smallest code gets that code. The codes are rotated left by ``rotate`` bits (SUN RGB-D: 3).
+    Depths beyond the largest code are written as unknown, since clipping would invent a nearer surface. Positive
+    depths below the smallest code get that code. The codes are rotated left by ``rotate`` bits (SUN RGB-D: 3).
     """
     codes = np.zeros(depth.shape, np.uint16)
     with np.errstate(all="ignore"):
@@ -175,7 +178,7 @@ def write_depth_png(
 
 
 def beyond_png(depth: NDArray[np.floating[Any]], scale: float) -> tuple[float, str]:
-    """Return the share of the depths (meters) beyond 16-bit codes, and a warning if it is large."""
+    """Return the share of depths (meters) beyond 16-bit codes, and a warning if it is large."""
     known = depth[np.isfinite(depth)]
     share = float(np.mean(known * scale >= _LARGEST_CODE + 0.5)) if known.size else 0.0
     if share <= _MAX_SHARE_BEYOND:
@@ -187,7 +190,7 @@ def beyond_png(depth: NDArray[np.floating[Any]], scale: float) -> tuple[float, s
 
 
 def write_points(path: Path | str, points: NDArray[np.float32], color: NDArray[np.uint8]) -> None:
-    """Write points (N, 3) with colors (N, 3) RGB as PLY, binary little endian; OutputError where that cannot be."""
+    """Write points (N, 3) with colors (N, 3) RGB as binary little-endian PLY. Raise OutputError on failure."""
     vertices = np.empty(len(points), [("xyz", "<f4", 3), ("rgb", "u1", 3)])
     vertices["xyz"], vertices["rgb"] = points, color
     floats = "".join(f"property float {name}\n" for name in "xyz")

@@ -1,4 +1,4 @@
-"""Disparity maps and other float maps as files: PFM, KITTI PNG, scaled 8-bit images, npy, npz."""
+"""Disparity maps and other floating-point maps as files: PFM, KITTI PNG, scaled 8-bit images, npy, npz."""
 
 from __future__ import annotations
 
@@ -24,16 +24,17 @@ OPENCV_SCALE = 16.0
 """Codes per pixel of OpenCV's signed 16-bit disparities (``StereoSGBM``, ``StereoBM``)."""
 
 _SAY_SCALE = "--scale gives another (of ground truth: disp_scale in meta.json)"
-_MAX_BEHIND = 0.5  # share of a map's values that may be negative
+_MAX_BEHIND = 0.5  # largest share of negative disparities
 _NPZ_MAGIC = b"PK\x03\x04"
-_MAX_UNPACKED_BYTES = 1 << 30  # of an array in an .npz file, as much as the largest images take
-_MAP_NAMES = ("disp", "disparity", "disp_left", "depth", "arr_0")  # arrays that are taken of several in an .npz file
+_MAX_UNPACKED_BYTES = 1 << 30  # largest array in an .npz file; the largest images take as much
+_MAP_NAMES = ("disp", "disparity", "disp_left", "depth", "arr_0")  # array to choose in an .npz file of several
 
 
 def without_value(stored: NDArray[Any], invalid: float | None = None, positive: bool = False) -> NDArray[np.bool_]:
-    """Return where the numbers of a map mean no value, for any reader of maps.
+    """Return a mask of the numbers in a map that mean no value.
 
-    These are NaN, infinite numbers and ``invalid``; of integer codes, and of ``positive`` quantities, 0 and less, too.
+    These are NaN, infinite numbers and ``invalid``. For integer codes and ``positive`` quantities, 0 and negative
+    numbers mean no value, too.
     """
     with np.errstate(invalid="ignore"):
         none: NDArray[np.bool_] = (
@@ -46,34 +47,35 @@ def without_value(stored: NDArray[Any], invalid: float | None = None, positive: 
 
 
 def is_mark(stored: NDArray[Any], invalid: float) -> NDArray[np.bool_]:
-    """Return where numbers are ``invalid``, rounded as they are."""
+    """Return a mask of the numbers equal to ``invalid``, which is rounded to their dtype."""
     with np.errstate(over="ignore"):
         mark = stored.dtype.type(invalid) if stored.dtype.kind == "f" else invalid
     return np.asarray(stored == mark)
 
 
 class ForeignConstant(NamedTuple):
-    """A constant by which a program may mean no value."""
+    """A constant that a program may use for no value."""
 
     code: float  # as stored
-    marked: NDArray[np.bool_]  # (H, W), the pixels that have it
+    marked: NDArray[np.bool_]  # (H, W), pixels with this constant
 
     def __str__(self) -> str:
         return f"{100 * np.mean(self.marked):.3g} % of the pixels are {self.code:g}"
 
 
-_MIN_CONSTANT_SHARE = 0.005  # of the pixels; a constant that fewer have may be measured
-_USUAL_MARKS, _MAX_MARK = (0.0, -1.0, -16.0), -999.0  # that most pixels may have; others of most are values
-_MAX_NEIGHBOR_RATIO = 0.25  # pixels up to 1 px above the constant / pixels of it; a mark is alone
-_MIN_FAR_RATIO = 4.0  # of a constant that is wider than the image to the next value; a mark is far from values
-_MAX_MARKS = 4  # constants of one map
+_MIN_CONSTANT_SHARE = 0.005  # smallest share of pixels; a rarer constant may be measured
+# Only these constants, or any of at most _MAX_MARK, may mark most pixels; other constants of most pixels are values.
+_USUAL_MARKS, _MAX_MARK = (0.0, -1.0, -16.0), -999.0
+_MAX_NEIGHBOR_RATIO = 0.25  # pixels up to 1 px above the constant / pixels with it; a mark is isolated
+_MIN_FAR_RATIO = 4.0  # constant beyond the image width / next value; a mark is far from values
+_MAX_MARKS = 4  # constants per map
 
 
 def foreign_constants(path: Path | str, disparity: NDArray[np.float32]) -> list[ForeignConstant]:
-    """Return the constants that may mean no value in a map of another program, such as OpenCV's -1, -9999, or 1e6.
+    """Return the constants that may mean no value in another program's map, such as OpenCV's -1, -9999, or 1e6.
 
-    These are the smallest value of a share of the pixels, if it is at most 0 and few others are near it, and values of
-    several pixels that are wider than the image and far from all others. A run of this program marks what has no value.
+    These are the smallest value, if it is at most 0, frequent and isolated, and values of several pixels that exceed
+    the image width and are far from all others. Maps of this program's runs have no such constants.
     """
     if Path(path).with_name("record.json").is_file():
         return []
@@ -83,7 +85,7 @@ def foreign_constants(path: Path | str, disparity: NDArray[np.float32]) -> list[
         left = left[left != mark]
     stored: NDArray[Any] = disparity
     if marks:
-        with contextlib.suppress(InputError):  # such as of packed colors, which have no code of their own
+        with contextlib.suppress(InputError):  # e.g. disparities packed into colors have no single code
             stored = read_plane(path)
     return [ForeignConstant(float(stored[disparity == mark][0]), disparity == mark) for mark in marks]
 
@@ -109,7 +111,7 @@ def _mark_of(known: NDArray[np.float32], shape: tuple[int, ...]) -> np.float32 |
 
 
 def scale_of(path: Path | str, scale: float | None, any_kind: bool) -> float | None:
-    """Return the scale that a map is read by: one that is not of ``any_kind`` of file leaves PFM as it is."""
+    """Return the scale for reading a map: None for PFM, unless the scale applies to ``any_kind`` of file."""
     return scale if any_kind or Path(path).suffix.lower() != ".pfm" else None
 
 
@@ -120,10 +122,10 @@ def read_foreign_map(
     scale_8bit: float | None = None,
     says_scale: bool = True,
 ) -> NDArray[np.float32]:
-    """Return a disparity map of any program as :func:`read_disparity` does: all commands read such maps by this.
+    """Return a disparity map of any program as :func:`read_disparity` does; all commands read maps with this function.
 
-    If ``invalid`` is None, :func:`foreign_constants` are no value, with a warning; NaN keeps them. Without
-    ``says_scale``, codes of 16 bits have KITTI's scale without a word, since the ground truth has it.
+    If ``invalid`` is None, :func:`foreign_constants` mean no value, with a warning; NaN keeps them. Without
+    ``says_scale``, KITTI's scale is used for 16-bit codes without a warning, since the ground truth has it.
     """
     is_own = Path(path).with_name("record.json").is_file()
     disparity = read_disparity(path, scale, scale_8bit, invalid, says_scale and not is_own)
@@ -134,13 +136,13 @@ def read_foreign_map(
 
 
 def known_truth(path: Path | str, disparity: NDArray[np.float32], invalid: float | None = None) -> NDArray[np.float32]:
-    """Return ground truth, (H, W) pixels, NaN = unknown, without what :func:`foreign_constants` or ``invalid`` mark.
+    """Return ground truth, (H, W) pixels, with NaN for pixels that ``invalid`` or :func:`foreign_constants` mark.
 
-    There is a warning of each constant. A constant 0 stays, since the truth may be infinitely far, with a warning.
+    Each constant causes a warning. The constant 0 is kept, since the ground truth may be infinitely far.
     """
     if invalid is not None:
         stored = disparity
-        with contextlib.suppress(InputError):  # of packed colors
+        with contextlib.suppress(InputError):  # e.g. disparities packed into colors
             stored = read_plane(path)
         return np.where(is_mark(stored, invalid), np.float32(np.nan), disparity)
     for constant in foreign_constants(path, disparity):
@@ -161,10 +163,10 @@ def read_disparity(
 ) -> NDArray[np.float32]:
     """Return a disparity map, (H, W) float32, pixels, NaN = unknown.
 
-    PFM, float npy and float TIFF are in pixels. Integer codes (PNG, PGM, integer npy) are divided by ``scale``, codes
-    per pixel: None is 256 for unsigned 16-bit codes (KITTI), with a warning if ``says_scale``, 16 for signed ones
-    (OpenCV), with a warning, and ``scale_8bit`` for 8-bit codes. Other integers have none. What is unknown,
-    :func:`without_value` says of the stored numbers.
+    PFM, float npy and float TIFF are in pixels, unless ``scale`` is given. Integer codes (PNG, PGM, integer npy) are
+    divided by ``scale``, codes per pixel. Its default is 256 for unsigned 16-bit codes (KITTI), with a warning if
+    ``says_scale``; 16 for signed ones (OpenCV), with a warning; and ``scale_8bit`` for 8-bit codes. Raise InputError
+    for other integers without a scale. :func:`without_value` defines which stored numbers are unknown.
     """
     values = read_plane(path)
     if values.dtype.kind == "b":
@@ -198,7 +200,7 @@ def read_disparity(
 
 
 def check_sign(name: Path | str, disparity: NDArray[np.float32], offset: float = 0.0) -> None:
-    """Raise InputError where most matches of a map lie behind the cameras, ``offset`` being that of their centers."""
+    """Raise InputError if most disparities of a map, plus the ``offset`` of the cameras' centers, are negative."""
     known = disparity[np.isfinite(disparity)]
     if np.count_nonzero(known + np.float32(offset) < 0) > _MAX_BEHIND * known.size:
         raise InputError(
@@ -210,8 +212,8 @@ def check_sign(name: Path | str, disparity: NDArray[np.float32], offset: float =
 def read_pfm(path: Path | str) -> NDArray[np.float32]:
     """Return the values of a one-channel PFM file as stored, (H, W) float32, top row first, +inf = unknown.
 
-    A negative scale in the header means little endian, its size is ignored, as by the Middlebury SDK. Three equal
-    channels are accepted; bytes behind the values are ignored with a warning, as the benchmarks' programs do.
+    A negative scale in the header means little endian; its size is ignored, as in the Middlebury SDK. Three equal
+    channels are accepted. Bytes after the values are ignored with a warning; the benchmarks' programs ignore them, too.
     """
     data = read_bytes(path)
     with naming(path):
@@ -219,7 +221,7 @@ def read_pfm(path: Path | str) -> NDArray[np.float32]:
 
 
 def read_plane(path: Path | str) -> NDArray[Any]:
-    """Return (H, W) numbers as stored: a map (PFM, npy, npz, float TIFF), codes, or the values that a plug-in reads."""
+    """Return (H, W) numbers as stored: a map (PFM, npy, npz, float TIFF), codes, or a plug-in's values."""
     if (plane := read_by_plugin(path)) is not None:
         return plane
     data = read_bytes(path)
@@ -235,7 +237,7 @@ def read_plane(path: Path | str) -> NDArray[Any]:
 
 
 def map_npy(path: Path | str, dimensions: int) -> NDArray[Any]:
-    """Return the array of a ``.npy`` file, mapped into memory, so that only the parts in use are read."""
+    """Return the memory-mapped array of a ``.npy`` file; only the parts in use are read."""
     with open_regular(path), naming(path):
         try:
             array = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -245,14 +247,14 @@ def map_npy(path: Path | str, dimensions: int) -> NDArray[Any]:
 
 
 def squeezed(array: NDArray[Any], dimensions: int) -> NDArray[Any]:
-    """Return an array without axes of length 1 at either end, as many as it has more than ``dimensions``."""
+    """Return an array reduced to ``dimensions``, if possible, by removing first or last axes of length 1."""
     while array.ndim > dimensions and 1 in (array.shape[0], array.shape[-1]):
         array = array[0] if array.shape[0] == 1 else array[..., 0]
     return array
 
 
 def _decode_npy(data: bytes, path: Path | str) -> NDArray[Any]:
-    """Return the (H, W) array of a ``.npy`` file, or the map of an ``.npz`` file: its only array, or the named one."""
+    """Return the (H, W) array of a ``.npy`` file, or of an ``.npz`` file: its only array, or one in ``_MAP_NAMES``."""
     try:
         file = BytesIO(data)
         stored = np.load(file, allow_pickle=False)
@@ -301,7 +303,7 @@ def _decode_pfm(data: bytes, path: Path | str) -> NDArray[np.float32]:
 
 
 def write_pfm(path: Path | str, values: NDArray[np.floating[Any]]) -> None:
-    """Write (H, W) float values as little-endian PFM, atomically; NaN becomes +inf (unknown)."""
+    """Write (H, W) floats atomically as little-endian PFM; NaN becomes +inf (unknown)."""
     write_bytes(path, encode_pfm(values))
 
 
@@ -316,7 +318,7 @@ def encode_pfm(values: NDArray[np.floating[Any]]) -> bytes:
 
 
 def write_disparity_png(path: Path | str, disparity: NDArray[np.floating[Any]]) -> None:
-    """Write a KITTI disparity PNG: uint16, disparity x 256 within 1 to 65535, 0 = unknown, atomically."""
+    """Write a KITTI disparity PNG atomically: uint16, disparity x 256, clipped to 1 to 65535; 0 = unknown."""
     write_bytes(path, encode_disparity_png(disparity))
 
 

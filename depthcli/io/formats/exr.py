@@ -1,6 +1,6 @@
-"""Maps in OpenEXR files, as renderers and data sets of transparent objects have them.
+"""Maps in OpenEXR files, as renderers and data sets of transparent objects store them.
 
-They are read through OpenEXR, an extra (``pip install depthcli[exr]``) that is imported here only.
+Only this module imports OpenEXR, an extra (``pip install depthcli[exr]``).
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from depthcli.io.formats.files import shown, warn
 EXR_MAGIC = b"\x76\x2f\x31\x01"
 
 _MAX_PIXELS = 1 << 28
-_MAX_EXPANSION = 4000  # pixels of a channel per stored byte; deflate makes at most 1032 bytes of one
-_DEPTH_NAMES = ("z", "depth", "d", "v", "disparity", "disp")  # last part of the name of a channel of values
+_MAX_EXPANSION = 4000  # pixels of a channel per stored byte; deflate expands by at most 1032
+_DEPTH_NAMES = ("z", "depth", "d", "v", "disparity", "disp")  # last part of the value channel's name
 
 
 def exr_size(path: Path | str) -> tuple[int, int]:
-    """Return height and width by the header; InputError where that is of no single image."""
+    """Return height and width from the header. Raise InputError if the file is damaged or too large."""
     return _header(path)[0]
 
 
 def read_exr(path: Path | str) -> NDArray[Any]:
-    """Return the one channel of values of a file, (H, W) float16, float32 or uint32, as stored.
+    """Return the value channel of a file, (H, W) float16, float32 or uint32, as stored.
 
-    It is the only channel, one called Z, depth or V (with a warning if there are others), or that of equal R, G and B.
-    InputError: no such channel, several images, parts of one, or the library is missing.
+    It is the only channel, the one called Z, depth or V (with a warning about others), or R if R, G and B are equal.
+    Raise InputError if there is no such channel, the file has several or incomplete images, or OpenEXR is missing.
     """
     size, window = _header(path)
     try:
@@ -56,7 +56,7 @@ def read_exr(path: Path | str) -> NDArray[Any]:
 
 
 def _channel(channels: dict[str, NDArray[Any]]) -> str:
-    """Return the name of the channel of values."""
+    """Return the name of the value channel."""
     if len(channels) == 1:
         return next(iter(channels))
     layers: dict[str, dict[str, NDArray[Any]]] = {}
@@ -75,7 +75,7 @@ def _channel(channels: dict[str, NDArray[Any]]) -> str:
 
 
 def _header(path: Path | str) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return height and width of what is stored, and of the whole image; InputError where that is too large."""
+    """Return (height, width) of the stored part and of the whole image. Raise InputError if they are too large."""
     try:
         with _module().File(os.fspath(path), header_only=True) as file:
             windows = [file.header()[name] for name in ("dataWindow", "displayWindow")]

@@ -1,11 +1,11 @@
-"""Transforms, displacement fields and landmarks of the usual registration programs, all in mm along LPS.
+"""Transforms, displacement fields and landmarks of common registration programs, converted to mm along LPS.
 
 ======================  ==============================================================================
 ITK, elastix            vector MHA, NRRD, NIfTI: displacement, mm, LPS; ``.tfm .txt .h5 .mat`` transforms;
                         ``TransformParameters.N.txt`` (translation, Euler, affine, B-spline, and chains)
 ANTs                    ``1Warp.nii.gz`` (5-D, intent 1007): displacement, mm, LPS; ``0GenericAffine.mat``
 NiftyReg                5-D, intent name NREG_TRANS, mm, RAS; intent_p1: 0 positions, 1 displacements, 2 and 6
-                        control points of cubic and linear B-splines; 3, 4 and 5 are velocities, which are refused
+                        control points of cubic and linear B-splines; velocities (3, 4, 5) are not supported
 SPM                     5-D, ``y_*.nii``, intent name Mapping: positions, mm, RAS
 Learn2Reg, VoxelMorph   ``.npz`` or 4-D NIfTI (X, Y, Z, 3): displacement, voxels
 ======================  ==============================================================================
@@ -44,20 +44,20 @@ READINGS = {
     "positions": "positions in mm, RAS (SPM, NiftyReg deformation field)",
     "voxels": "displacement in voxels (Learn2Reg, VoxelMorph)",
 }
-"""Possible meanings of the numbers of a field."""
+"""Possible meanings of a field's numbers."""
 
-_SPLINES = {"control points": 3, "linear control points": 1}  # further meanings -> order of the B-spline
+_SPLINES = {"control points": 3, "linear control points": 1}  # further meaning -> order of the B-spline
 _VELOCITIES = ("positions of a velocity field", "velocities", "control points of velocities")
 _NIFTYREG = ("positions", "niftyreg", "control points", *_VELOCITIES, "linear control points")  # by intent_p1
 
-_MIN_RATIO = 1.1  # mutual information of the better reading over that of the named one, to refuse the named one
-_MIN_GAIN = 0.02  # and by how much it must be more, nats
-_MIN_FIT = 0.1  # mutual information, nats, below which two volumes have little in common
-_MAX_OUTSIDE = 0.1  # share of the fixed volume that may be outside the field
-_MIN_SHIFT = 0.1  # voxels that the largest displacement of a registration exceeds
-_N_SAMPLES = 60_000  # voxels that the readings of a field are compared at
-_N_INVERSIONS = 8  # steps of the fixed-point iteration, each of which at least halves the error of smooth fields
-_N_BINS = 24  # of the histogram of each volume
+_MIN_RATIO = 1.1  # smallest ratio of mutual information at which another reading is clearly better
+_MIN_GAIN = 0.02  # smallest gain of mutual information at which another reading is clearly better, nats
+_MIN_FIT = 0.1  # mutual information below which two volumes have little in common, nats
+_MAX_OUTSIDE = 0.1  # largest share of the fixed volume outside the field without a warning
+_MIN_SHIFT = 0.1  # smallest plausible maximum displacement, voxels
+_N_SAMPLES = 60_000  # voxels at which readings are compared
+_N_INVERSIONS = 8  # fixed-point iterations; each at least halves the error for smooth fields
+_N_BINS = 24  # histogram bins per volume
 
 
 @dataclass(frozen=True)
@@ -66,11 +66,11 @@ class Field:
 
     values: NDArray[np.float32]  # (Z, Y, X, 3), components as in the file: x, y, z
     grid: Grid
-    named: str  # key of READINGS or _SPLINES of the header, or of the file's kind
+    named: str  # key of READINGS or _SPLINES, from the header or the file's format
 
 
 def read_field(path: Path, fixed: Grid) -> Field:
-    """Return the field of a file, whose kind is found by its ending and header; ``fixed`` where it has no grid."""
+    """Return the field in a file, by its ending and header; files without a grid get the grid ``fixed``."""
     with naming(path):
         named = "itk"
         if suffix_of(path) == ".npz":
@@ -95,7 +95,7 @@ def read_field(path: Path, fixed: Grid) -> Field:
 
 
 def _named_by_intent(name: str, parameter: str) -> str:
-    """Return the reading that the intent of a NIfTI file names; InputError where that is no displacement."""
+    """Return the reading that a NIfTI file's intent names. Raise InputError for velocities and unknown intents."""
     if name != "NREG_TRANS":
         return "positions" if name == "Mapping" else "itk"
     kind = float(parameter)
@@ -115,14 +115,14 @@ def _measurement_frame(header: Any) -> str:
 
 
 def _spline(field: Field) -> Any:
-    """Return the B-spline transform of positions (mm, RAS) at control points."""
+    """Return the B-spline transform for positions (mm, RAS) at control points."""
     shifts = in_millimeters(field, "positions")
     parts = [itk_image(np.ascontiguousarray(shifts[..., axis]), field.grid) for axis in range(3)]
     return simple_itk().BSplineTransform(parts, _SPLINES[field.named])
 
 
 def _in_voxels(values: NDArray[Any], fixed: Grid) -> Field:
-    """Return (Z, Y, X, 3) displacements in voxels of the fixed volume, whose grid the file does not have."""
+    """Return the field for (Z, Y, X, 3) displacements in voxels from a file without a grid."""
     if values.shape[:3] != fixed.shape:
         have, want = " x ".join(map(str, values.shape[2::-1])), " x ".join(map(str, fixed.size))
         raise InputError(f"a field of {have} voxels, but the fixed volume has {want}")
@@ -147,7 +147,7 @@ def _npz(path: Path) -> NDArray[Any]:
 
 
 def in_millimeters(field: Field, reading: str) -> NDArray[np.float64]:
-    """Return the displacement, (Z, Y, X, 3) mm, LPS, of a field read as a key of READINGS."""
+    """Return the displacements of a field, (Z, Y, X, 3) mm, LPS; ``reading`` is a key of READINGS."""
     values: NDArray[np.float64] = field.values.astype(np.float64)
     if reading == "voxels":
         return np.asarray((values * np.array(field.grid.spacing)) @ field.grid.axes.T, np.float64)
@@ -162,12 +162,12 @@ def in_millimeters(field: Field, reading: str) -> NDArray[np.float64]:
 def read_moving_transform(
     transform: Path | None, displacement: Path | None, convention: str, fixed: Volume, moving: Volume | None
 ) -> Any:
-    """Return the SimpleITK transform that maps a point of the fixed volume to the moving one.
+    """Return the SimpleITK transform that maps a point of the fixed volume to the moving volume.
 
-    With both files, the displacement comes first and the transform after it (ANTs: ``1Warp``, ``0GenericAffine``).
-    The ``convention`` auto (of auto, itk, ants, niftyreg, positions, voxels) takes the header's; if the moving volume
-    is there, another reading that fits it clearly better is an error. With any convention, and for transforms, there is
-    a warning where the moving volume fits clearly better through the inverse, with displacements negated or left out.
+    With both files, the displacement is applied before the transform (ANTs: ``1Warp``, ``0GenericAffine``).
+    ``convention`` is auto, itk, ants, niftyreg, positions or voxels; auto uses the header. If the moving volume is
+    given, auto raises InputError if another reading fits clearly better. For any convention, and for transforms, warn
+    if the inverse, negated or no displacements fit clearly better.
     """
     sitk = simple_itk()
     grids = fixed.grid, None if moving is None else moving.grid
@@ -208,7 +208,10 @@ def read_moving_transform(
 
 
 def _doubtful_extent(grid: Grid, shifts: NDArray[np.float64], fixed: Grid) -> str:
-    """Return a warning where a field covers a part of the fixed volume or is about 0; InputError: it covers none."""
+    """Return a warning if a field covers only a part of the fixed volume or is about 0, or an empty text.
+
+    Raise InputError if it covers nothing of it.
+    """
     axes = (np.arange(0.0, n, max(1, n // 32)) for n in fixed.shape)
     at = grid.to_index(fixed.to_point(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)))
     outside = float(np.mean(~np.all((at >= -0.5) & (at <= np.array(grid.shape) - 0.5), axis=1)))
@@ -224,7 +227,7 @@ def _doubtful_extent(grid: Grid, shifts: NDArray[np.float64], fixed: Grid) -> st
 
 
 def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, after: Any) -> None:
-    """Refuse a field that warps the moving volume clearly better under another reading than the named one."""
+    """Raise InputError if the volumes fit clearly better with another reading of the field than the named one."""
     count = int(np.prod(field.grid.shape))
     chosen = np.arange(0, count, max(1, count // _N_SAMPLES))
     places = np.stack(np.unravel_index(chosen, field.grid.shape), axis=1).astype(np.float64)
@@ -259,7 +262,7 @@ def _clearly_better(fit: float, other: float) -> bool:
 
 
 def _misfit(transform: Any, fixed: Volume, moving: Volume) -> str:
-    """Return a warning where inverse, negated or no displacements fit the volumes clearly better, or empty."""
+    """Return a warning if inverse, negated or no displacements fit the volumes clearly better, or an empty text."""
     every = math.ceil((math.prod(fixed.grid.size) / _N_SAMPLES) ** (1 / 3))
     x, y, z = (-(-n // every) for n in fixed.grid.size)
     spacing = fixed.grid.spacing[0] * every, fixed.grid.spacing[1] * every, fixed.grid.spacing[2] * every
@@ -290,7 +293,7 @@ def _misfit(transform: Any, fixed: Volume, moving: Volume) -> str:
 
 
 def _information(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
-    """Mutual information, nats; what falls outside the moving volume is a value of its own."""
+    """Return the mutual information, nats; points outside the moving volume (NaN) have their own bin."""
     low, high = (float(np.nanmin(other)), float(np.nanmax(other))) if np.isfinite(other).any() else (0.0, 1.0)
     second = np.where(np.isnan(other), 0, (other - low) / max(high - low, 1e-12) * (_N_BINS - 2) + 1).astype(np.int64)
     span = max(float(one.max() - one.min()), 1e-12)
@@ -302,9 +305,10 @@ def _information(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
 
 
 def read_transform(path: Path, grids: tuple[Grid, Grid | None] | None = None) -> Any:
-    """Return the SimpleITK transform of a file of ITK, or of a chain of elastix parameter files.
+    """Return the SimpleITK transform in an ITK file or a chain of elastix parameter files.
 
-    ``grids`` are the fixed volume's and, if known, the moving one's, whose directions elastix may leave out.
+    ``grids`` are the grids of the fixed and, if known, the moving volume; they give the directions if elastix left
+    them out.
     """
     sitk = simple_itk()
     with naming(path):
@@ -328,7 +332,7 @@ def _elastix_fields(text: str) -> dict[str, list[str]]:
 
 
 def _undirected(chain: Any, grids: tuple[Grid, Grid | None] | None) -> Any:
-    """Return a transform between volumes without their directions as one between those with them."""
+    """Return the transform between volumes with directions for one between volumes without them."""
     fixed, moving = grids or (None, None)
     if fixed is None or (moving is None and not np.array_equal(fixed.axes, np.eye(3))):
         raise InputError(
@@ -341,7 +345,7 @@ def _undirected(chain: Any, grids: tuple[Grid, Grid | None] | None) -> Any:
 
 
 def _elastix_chain(path: Path, text: str, before: tuple[Path, ...]) -> list[Any]:
-    """This file's transform, then those it starts from: SimpleITK applies the last one first."""
+    """Return this file's transform, followed by its initial transforms; SimpleITK applies the last one first."""
     fields = _elastix_fields(text)
     if path.resolve() in before or len(before) > MAX_CHAIN:
         raise InputError("its chain of initial transforms comes back to it")
@@ -398,9 +402,9 @@ def _elastix_transform(fields: dict[str, list[str]]) -> Any:
 
 
 def read_landmarks(path: Path, grid: Grid, raw: bool = False) -> NDArray[np.float64]:
-    """Return (N, 3) positions x, y, z in mm, LPS, of a list of points, or of the voxels of a volume's ``grid``.
+    """Return (N, 3) positions x, y, z in mm, LPS, from a list of points or of voxels of ``grid``.
 
-    Of a DIR-Lab ``raw`` volume, a text counts voxels from 1.
+    Text files for a DIR-Lab ``raw`` volume have voxels, counted from 1.
     """
     with naming(path):
         lines = [line.strip() for line in text_of(read_bytes(path, 1 << 26)).splitlines() if line.strip()]

@@ -1,4 +1,4 @@
-"""Files of any kind: read only where they are regular files of bounded size, written wholly or not at all."""
+"""Read regular files of bounded size, and write files atomically."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ MAX_BYTES = 1 << 31
 """Size of the largest file that is read as a whole."""
 
 PARTIAL_SUFFIX = ".partial~"
-"""Ending of temporary names; a file left with it belongs to a killed run and may be deleted."""
+"""Ending of temporary files; killed runs may leave such files, which can be deleted."""
 
 RUN_FILE = "run.yaml"
-"""File in the folder of a run with its command and config; the results in the folder are no input."""
+"""Name of the file with a run's command and config; it marks the folder's files as results, not input."""
 
-_MAX_NAME_BYTES = 255  # of one part of a path, by nearly all file systems
-_END_BYTES = 40  # of a longer name that stay
-_MAX_START = 40  # characters of a name that its temporary one begins with; all may be too long for a file system
+_MAX_NAME_BYTES = 255  # limit for one part of a path in nearly all file systems
+_END_BYTES = 40  # kept from the end of a longer name
+_MAX_START = 40  # characters kept at the start of a temporary name; the whole name may be too long
 _MAX_SHOWN = 400  # characters of a path in a message; the longest path has 4096
 _MAX_FLUSHES = 16  # threads that wait for the disk; a scene has about 6 files
-_flushes = ThreadPoolExecutor(_MAX_FLUSHES, "flush")  # which starts no thread before it has work
-# A pipe would wait for its other end when it is opened; a terminal would become ours.
+_flushes = ThreadPoolExecutor(_MAX_FLUSHES, "flush")  # starts threads only when it gets work
+# Opening a pipe must not block, and a terminal must not become the controlling one.
 _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
 
 
 def shown(path: Path | str) -> str:
-    """``path`` on one line for a message, whatever bytes it holds; very long ones lose their middle."""
-    text = without_secrets(one_line(str(path)))  # before it is cut, which would part a query from its URL
+    """Return ``path`` on one line for a message, without secrets; very long paths lose their middle."""
+    text = without_secrets(one_line(str(path)))  # before shortening, which could separate a query from its URL
     return text if len(text) <= _MAX_SHOWN else f"{text[: _MAX_SHOWN // 2]}...{text[-_MAX_SHOWN // 2 :]}"
 
 
 @contextlib.contextmanager
 def naming(path: Path | str) -> Iterator[None]:
-    """Put the file's name before the message of an InputError that does not begin with it, or of too large numbers."""
+    """Prefix an InputError in the block with the file's name, if it is not there. Overflows become InputError, too."""
     try:
         yield
     except (OverflowError, RecursionError) as error:
@@ -60,7 +60,7 @@ _collected: ContextVar[list[str] | None] = ContextVar("collected", default=None)
 
 
 def warn(text: str) -> None:
-    """Say of a file, whose name ``text`` begins with, that it is read though something looks wrong with it."""
+    """Warn about a readable but doubtful file; ``text`` begins with its name."""
     lines, text = _collected.get(), without_secrets(text)
     if lines is None:
         logging.getLogger("depthcli").warning("warning: %s", text)
@@ -70,7 +70,7 @@ def warn(text: str) -> None:
 
 @contextlib.contextmanager
 def collected_warnings() -> Iterator[list[str]]:
-    """Give a list of the warnings of :func:`warn` in the block, each text once."""
+    """Yield a list that collects the distinct warnings of :func:`warn` in the block."""
     lines: list[str] = []
     token = _collected.set(lines)
     try:
@@ -81,7 +81,7 @@ def collected_warnings() -> Iterator[list[str]]:
 
 @contextlib.contextmanager
 def warnings_naming(path: Path | str) -> Iterator[None]:
-    """Put the file's name before the warnings of the block that do not begin with it."""
+    """Prefix the block's warnings with the file's name, if it is not there."""
     name = f"{shown(path)}: "
     try:
         with collected_warnings() as lines:
@@ -93,7 +93,7 @@ def warnings_naming(path: Path | str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def open_regular(path: Path | str) -> Iterator[BinaryIO]:
-    """Open a regular file for reading; an error of the system here or inside the block becomes an InputError."""
+    """Open a regular file for reading; system errors, also inside the block, become InputError."""
     try:
         handle = os.open(path, _FLAGS)
         try:
@@ -110,7 +110,7 @@ def open_regular(path: Path | str) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: Path | str, max_bytes: int = MAX_BYTES) -> bytes:
-    """All bytes of a regular file of at most ``max_bytes`` bytes."""
+    """Return the bytes of a regular file. Raise InputError if there are more than ``max_bytes``."""
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
         if size > max_bytes:
@@ -125,19 +125,19 @@ def read_bytes(path: Path | str, max_bytes: int = MAX_BYTES) -> bytes:
 
 
 def file_states(*files: Path) -> tuple[object, ...]:
-    """Return what changes when the files do: time, size and number of each; nothing of one that is missing."""
+    """Return modification time, size and inode of each file, to detect changes; zeros for missing files."""
     found = []
     for file in files:
         try:
             state = os.stat(file)
             found.append((state.st_mtime_ns, state.st_size, state.st_ino))
-        except (OSError, ValueError):  # reading it tells why
+        except (OSError, ValueError):  # reading the file reports the cause
             found.append((0, 0, 0))
     return tuple(found)
 
 
 def short_path(path: str) -> str:
-    """Return a relative path without parts longer than file systems take: a digest is in place of their middle."""
+    """Return a relative path in which a digest replaces the middle of parts too long for file systems."""
     parts = []
     for name in path.split("/"):
         if len(data := os.fsencode(name)) > _MAX_NAME_BYTES:
@@ -149,7 +149,7 @@ def short_path(path: str) -> str:
 
 @contextlib.contextmanager
 def atomic_path(path: Path | str) -> Iterator[Path]:
-    """Give a temporary name in the folder of ``path``, which is made; rename it to ``path`` if the block succeeds."""
+    """Yield a temporary path next to ``path`` and rename it to ``path`` if the block succeeds; create the folder."""
     path = Path(path)
     temporary = path.with_name(f".{path.name[:_MAX_START]}.{os.getpid()}-{threading.get_ident()}{PARTIAL_SUFFIX}")
     try:
@@ -167,12 +167,12 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
 
 
 def flush_all(paths: Iterable[Path]) -> None:
-    """Flush files side by side, which costs about as much as one; OSError where the disk refuses one."""
+    """Flush files in parallel, which takes about as long as one file. Raise OSError if one fails."""
     list(_flushes.map(flush, paths))
 
 
 def flush(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk; OSError where the disk refuses them."""
+    """Wait until a file, or the names in a folder, are on the disk. Raise OSError on failure."""
     is_folder = path.is_dir()
     try:
         handle = os.open(path, os.O_RDWR if os.name == "nt" and not is_folder else os.O_RDONLY)
@@ -186,7 +186,7 @@ def flush(path: Path) -> None:
 
 
 def remove_temporaries(folder: Path, name: str = "") -> None:
-    """Delete the temporary files that killed processes left in a folder, or of one file in it."""
+    """Delete temporary files that killed processes left in a folder, all or those for the file ``name``."""
     start = f"{glob.escape(name[:_MAX_START])}." if name else ""
     for leftover in folder.glob(f".{start}*{PARTIAL_SUFFIX}"):
         with contextlib.suppress(OSError):
@@ -194,11 +194,11 @@ def remove_temporaries(folder: Path, name: str = "") -> None:
 
 
 def write_bytes(path: Path | str, data: bytes) -> None:
-    """Write ``data`` to ``path``, atomically."""
+    """Write ``data`` to ``path`` atomically."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write ``text`` to ``path`` as UTF-8 with LF line ends, atomically; bytes of odd file names are escaped."""
+    """Write ``text`` to ``path`` atomically as UTF-8 with LF line ends; undecodable bytes in names are escaped."""
     write_bytes(path, text.encode("utf-8", "backslashreplace"))

@@ -1,4 +1,4 @@
-"""Files that are read with another one: the values of a volume, a chain of transforms, the map of a calibration."""
+"""Find files that another file needs: the values of a volume, a chain of transforms, the map of a calibration."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from depthcli.io.formats.files import open_regular, read_bytes
 from depthcli.io.formats.plain_text import text_of
 
 MAX_TRANSFORM_BYTES = 1 << 30
-"""Size of the largest file of a transform: a text of B-spline parameters may be long."""
+"""Largest size of a transform file; B-spline parameters as text may be long."""
 
 MAX_CHAIN = 100
-"""Transforms of elastix that begin with one another; a registration has two or three."""
+"""Largest number of chained elastix transforms; a registration has two or three."""
 
-_HEADER_BYTES = 1 << 20  # first part of a MetaImage or NRRD file that is searched for the file with its values
+_HEADER_BYTES = 1 << 20  # start of a MetaImage or NRRD file to search for the name of its data file
 _DATA_FILE = re.compile(rb"^(?:ElementDataFile\s*[=:]|data ?file:)[ \t]*([^\r\n]+)\r?\n?((?:[^\r\n]+\r?\n?)*)", re.M)
 _INITIAL = re.compile(r'^\s*\(InitialTransformParameters?FileName\s+("[^"\n]*"|[^\s)]+)', re.MULTILINE)
 
 
 def kinect_files(path: Path) -> tuple[Path, ...]:
-    """Return the files that are read with a Kinect calibration: ``dc_beta.npy``, where it is there."""
+    """Return the files that a Kinect calibration needs: ``dc_beta.npy``, if it exists."""
     beta = path.with_name("dc_beta.npy")
     return (beta,) if beta.is_file() else ()
 
 
 def nifti_header(path: Path) -> bytes:
-    """Return the NIfTI header beside the values of a volume (``.hdr`` beside ``.img``), or nothing.
+    """Return the NIfTI header (``.hdr``) of a volume's values (``.img``), or empty bytes.
 
-    InputError for a header of Analyze 7.5 without a ``meta.json``, since it does not tell the directions.
+    Raise InputError for an Analyze 7.5 header without ``meta.json``, since it has no directions.
     """
     header = path.with_suffix(".hdr")
     if not header.is_file():
@@ -45,20 +45,20 @@ def nifti_header(path: Path) -> bytes:
 
 
 def volume_files(path: Path) -> tuple[Path, ...]:
-    """Return the files that are read with a volume: those with its values, of a folder all, or its ``meta.json``."""
+    """Return the files that a volume needs: its data files, its header or ``meta.json``, or all files of a folder."""
     if os.path.isdir(path):  # a DICOM series
         return tuple(sorted(file for file in path.glob("*") if os.path.isfile(file)))
     kind = path.suffix.lower()
     if kind == ".hdr":
         return (path.with_suffix(".img"),)
     if kind == ".img":
-        with contextlib.suppress(InputError):  # reading the volume tells the problem
+        with contextlib.suppress(InputError):  # reading the volume reports the problem
             return (path.with_suffix(".hdr") if nifti_header(path) else path.with_name("meta.json"),)
         return ()
     if kind not in (".mha", ".mhd", ".nrrd", ".nhdr"):
         return ()
     found = None
-    with contextlib.suppress(InputError), open_regular(path) as file:  # reading the volume tells the problem
+    with contextlib.suppress(InputError), open_regular(path) as file:  # reading the volume reports the problem
         found = _DATA_FILE.search(file.read(_HEADER_BYTES))
     name = os.fsdecode(found[1]).strip() if found else "LOCAL"
     if found and name.split()[0] == "LIST":
@@ -69,9 +69,9 @@ def volume_files(path: Path) -> tuple[Path, ...]:
 
 
 def transform_files(path: Path) -> tuple[Path, ...]:
-    """Return the files that a chain of elastix parameter files leads to, ``path`` not among them."""
+    """Return the further files of a chain of elastix parameter files, without ``path``."""
     files: list[Path] = []
-    with contextlib.suppress(InputError):  # reading the transform tells the problem
+    with contextlib.suppress(InputError):  # reading the transform reports the problem
         while path.suffix.lower() == ".txt" and len(files) < MAX_CHAIN:
             text = text_of(read_bytes(path, MAX_TRANSFORM_BYTES))
             below = initial_transform(path, text) if "(Transform " in text else None
@@ -83,7 +83,7 @@ def transform_files(path: Path) -> tuple[Path, ...]:
 
 
 def initial_transform(path: Path, text: str) -> Path | None:
-    """Return the file that an elastix transform starts from, in its folder or at its path; or None."""
+    """Return an elastix transform's initial transform, in the same folder or at its stored path, or None."""
     found = _INITIAL.findall(text)
     name = found[-1].strip('"') if found else ""
     if name in ("", "NoInitialTransform"):

@@ -1,6 +1,6 @@
-"""Images as files: PNG, JPEG, Netpbm, TIFF, BMP; single ones, and the two of a pair.
+"""Images as files: PNG, JPEG, Netpbm, TIFF, BMP; single images and pairs.
 
-OpenCV decodes color and PNG of 16 bit and TIFF of floating point, which Pillow cannot; Pillow the rest.
+OpenCV decodes 16-bit color, 16-bit PNG and floating-point TIFF, which Pillow cannot. Pillow decodes the rest.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from PIL.ImageFile import ImageFile
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".pnm", ".tif", ".tiff", ".bmp")
-"""File name endings that scene folders are searched for, best known first."""
+"""Endings of images in scene folders, best known first."""
 
 NPY_MAGIC = b"\x93NUMPY"
 
@@ -46,20 +46,20 @@ _KINDS = {
     "Exr": (EXR_MAGIC,),
 }
 _PNM_HEADER = re.compile(rb"P\d(?:\s|#[^\n]*\n)+" + rb"(\d{1,9})(?:\s|#[^\n]*\n)+" * 2 + rb"(\d{1,9})\s")
-# Comment lines, as some programs write them, may be between the numbers.
+# Some programs write comment lines between the numbers.
 _PFM_GAP = rb"\s+(?:#[^\n]*\n\s*)*"
 _PFM_HEADER = re.compile(rb"(P[fF])" + (_PFM_GAP + rb"(\d{1,9})") * 2 + _PFM_GAP + rb"([-+0-9.eE]{1,40})(?:\r\n|\s)")
-_HEADER_BYTES = 1 << 14  # first part of a file, which nearly always has the size of the image
+_HEADER_BYTES = 1 << 14  # start of a file; it nearly always contains the image's size
 _MAX_DECODED_BYTES = 1 << 30
-# Decoded bytes per stored one: 12 bits of LZW expand to up to 4 KiB; a byte of deflate for 1 KiB, of JPEG for 1.5 KiB.
+# Decoded bytes per stored byte: 12 bits of LZW expand to up to 4 KiB, a byte of deflate to 1 KiB, of JPEG to 1.5 KiB.
 _MAX_EXPANSION = 3000
-_MAX_TEXT_BYTES = 1 << 25  # of a plain PGM or PPM: every number takes 50 bytes while it is read
+_MAX_TEXT_BYTES = 1 << 25  # largest plain PGM or PPM; reading takes 50 bytes per number
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILES, _FORMAT, _FLOATS = 256, 257, 258, 277, (322, 323), 339, 3  # tags of TIFF
 _PHOTOMETRIC, _PLANAR, _SUBFILE, _EXTRA = 262, 284, 254, 338  # further tags of TIFF
 _SIGNED, _SEPARATE, _MIN_IS_WHITE, _RGB = 2, 2, 0, 2  # values of the tags
-_PART_OF_PAGE = 5  # bits of _SUBFILE: a page of less resolution, or a mask of another page
-_MAX_PAGES = 10_000  # of a TIFF that are counted
-_ORIENTATION = 274  # tag of TIFF and EXIF: how an image as stored has to be turned or mirrored to be upright
+_PART_OF_PAGE = 5  # bits of _SUBFILE: a page of lower resolution, or a mask of another page
+_MAX_PAGES = 10_000  # TIFF pages to count
+_ORIENTATION = 274  # tag of TIFF and EXIF: the turn or reflection that makes the stored image upright
 _TURNS: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
     2: lambda image: image[:, ::-1],
     3: lambda image: image[::-1, ::-1],
@@ -72,9 +72,9 @@ _TURNS: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
 
 
 def read_image(path: Path | str) -> Image:
-    """Return (H, W) grey or (H, W, 3) RGB, uint8 or uint16, of an image whose kind is found by its content.
+    """Return an image, (H, W) grey or (H, W, 3) RGB, uint8 or uint16; the format is recognized by the content.
 
-    Transparency is dropped, palettes are resolved, EXIF orientation is applied (with a warning).
+    Transparency is dropped, palettes are resolved, and the EXIF orientation is applied with a warning.
     """
     return _read(path)[0]
 
@@ -111,7 +111,7 @@ def read_two_frames(path: Path | str) -> tuple[Image, Image]:
 
 
 def read_color8(path: Path | str) -> NDArray[np.uint8]:
-    """Return any image as (H, W, 3) uint8 RGB; 16-bit ones by the bits that their samples have."""
+    """Return any image as (H, W, 3) uint8 RGB; 16-bit samples are scaled by the number of bits in use."""
     image, data = _read(path)
     with naming(path):
         bits = bits_said((image,), path, _declared_bits(data))
@@ -119,7 +119,7 @@ def read_color8(path: Path | str) -> NDArray[np.uint8]:
 
 
 def read_grey(path: Path | str) -> Image:
-    """Return an image of codes (disparities, a mask), which may be stored with three equal channels."""
+    """Return an image of codes (disparities, a mask), (H, W) uint8 or uint16; it may have three equal channels."""
     data = read_bytes(path)
     with naming(path):
         codes = decode_grey(data)
@@ -129,7 +129,7 @@ def read_grey(path: Path | str) -> Image:
 
 
 def decode_grey(data: bytes) -> Image:
-    """Return what :func:`read_grey` does, from the bytes of a file."""
+    """Decode the bytes of a file as :func:`read_grey` does."""
     pixels = decode_image(data)
     if image_kind(data) == "Tiff" and _check_tiff(data).photometric == _MIN_IS_WHITE:
         # Programs disagree on whether such codes are meant as stored.
@@ -140,12 +140,12 @@ def decode_grey(data: bytes) -> Image:
 
 
 def decode_image(data: bytes) -> Image:
-    """Return what :func:`read_image` does, from the bytes of a file."""
+    """Decode the bytes of a file as :func:`read_image` does."""
     return _decoded(data)[0]
 
 
 def _decoded(data: bytes) -> tuple[Image, int]:
-    # The upright image, and the EXIF orientation that it was stored in, where that is another one; else 0.
+    # Returns the upright image and its stored EXIF orientation, 0 if it was upright.
     kind, turn = image_kind(data), 0
     if kind in ("Pfm", "Npy", "Exr"):
         raise InputError(f"a map of numbers ({kind.lower()}), expected an image")
@@ -161,7 +161,7 @@ def _decoded(data: bytes) -> tuple[Image, int]:
         if getattr(image, "n_frames", 1) > 1 and kind == "Png":
             raise InputError(f"an animation of {image.n_frames} frames, expected one image")  # type: ignore[attr-defined]
         if (turn := _orientation(image)) and kind == "Tiff":
-            # Pillow and OpenCV turn a TIFF wrongly where its sides change places: the tag becomes 1.
+            # Pillow and OpenCV turn a TIFF wrongly if width and height change places, so that the tag is set to 1.
             order = "<" if data.startswith(b"II") else ">"
             entry, upright = (struct.pack(f"{order}HHIHH", _ORIENTATION, 3, 1, k, 0) for k in (turn, 1))
             data = data.replace(entry, upright, 1)
@@ -171,9 +171,9 @@ def _decoded(data: bytes) -> tuple[Image, int]:
         _check_size(*size, bands * (2 if is_wide else 1), len(data))
         if is_wide:
             pixels = _with_opencv(data)
-            if pixels.ndim == 3:  # grey with transparency comes as color
+            if pixels.ndim == 3:  # OpenCV returns grey with transparency as color
                 pixels = pixels[..., 0] if mode in ("LA", "La", "I;16") else pixels[..., 2::-1]
-        else:  # a copy: kernels are compiled apart for read-only arrays
+        else:  # copy, since numba compiles kernels again for read-only arrays
             is_plain = mode in ("L", "RGB") or mode.startswith("I;16")
             plain = "L" if mode in ("1", "LA", "La") else "RGB"
             pixels = np.array(image if is_plain else image.convert(plain))
@@ -187,7 +187,7 @@ def _decoded(data: bytes) -> tuple[Image, int]:
 
 
 def _check_decoded(pixels: NDArray[Any], size: tuple[int, int], channels: int, bits: int) -> None:
-    """Raise InputError if a decoder's array is not of the size, channels and bits of the file's header."""
+    """Raise InputError if a decoder's array differs from the file's header in size, channels or bits."""
     shape = (*size, *((channels,) if channels > 1 else ()))
     if pixels.shape != shape or pixels.dtype.itemsize != bits // 8:
         got, want = (" x ".join(map(str, each)) for each in (pixels.shape, shape))
@@ -198,7 +198,7 @@ def _check_decoded(pixels: NDArray[Any], size: tuple[int, int], channels: int, b
 
 
 def _left_over(data: bytes) -> str:
-    """Return a warning of what a file has beside the one image that is read, or empty."""
+    """Return a warning about content of a file besides the image that is read, or an empty text."""
     kind = image_kind(data)
     if kind == "Pnm" and data[:2] in (b"P5", b"P6"):
         (height, width, channels), top, start = pnm_header(data)
@@ -210,23 +210,23 @@ def _left_over(data: bytes) -> str:
         return ""
     from PIL.MpoImagePlugin import MpoImageFile
 
-    with contextlib.suppress(Exception):  # a damaged index harms no pixel of the first image
+    with contextlib.suppress(Exception):  # a damaged index does not affect the first image
         image = MpoImageFile(BytesIO(data))
         first, n_same = image.size, 0
         for number in range(1, image.n_frames):
             image.seek(number)
-            n_same += image.size == first  # smaller ones are previews and gain maps
+            n_same += image.size == first  # smaller images are previews and gain maps
         return f"has {n_same + 1} images of one size (MPO); only the first is read" if n_same else ""
     return ""
 
 
-_MIN_MOSAIC = 64  # pixels a side, below which the period of a mosaic is not looked for
-_MOSAIC_RATIO = 1.3  # mean step between neighbors over that between pixels of one color; 0.4 to 1 of images and noise
-_MOSAIC_LINES = 200  # rows and columns that are looked at
+_MIN_MOSAIC = 64  # smallest width and height of an image to test for a mosaic, pixels
+_MOSAIC_RATIO = 1.3  # mean step between neighbors / between pixels two apart; images and noise have 0.4 to 1
+_MOSAIC_LINES = 200  # rows and columns to test
 
 
 def _looks_raw(image: Image) -> str:
-    """Return a warning if a grey image has a period of two pixels along both axes, as a Bayer mosaic; or empty."""
+    """Return a warning if a grey image looks like a Bayer mosaic, with a period of two pixels along both axes."""
     if image.ndim != 2 or min(image.shape) < _MIN_MOSAIC:
         return ""
     for lines in (image, image.T):
@@ -239,15 +239,15 @@ def _looks_raw(image: Image) -> str:
 
 def _orientation(image: ImageFile) -> int:
     """Return the EXIF orientation of an image, a key of ``_TURNS``; 0 if it is upright or has none."""
-    with contextlib.suppress(Exception):  # damaged EXIF data, as decoders of many kinds raise it, harm no pixel
-        if "exif" in image.info or image.format == "TIFF":  # else a PNG would be decoded to look for it
+    with contextlib.suppress(Exception):  # damaged EXIF data raise many kinds of errors, but do not affect pixels
+        if "exif" in image.info or image.format == "TIFF":  # getexif would decode a PNG without EXIF data
             turn = int(image.getexif().get(_ORIENTATION, 1))
             return turn if turn in _TURNS else 0
     return 0
 
 
 def decode_bits(data: bytes) -> NDArray[np.uint8]:
-    """Return the (H, W) values of a PNG of one channel of 8 bit, which may be numbers in a palette."""
+    """Return the (H, W) values, or palette indices, of a one-channel 8-bit PNG."""
     if image_kind(data) != "Png":
         raise InputError("expected a PNG of status bits")
     with _decoding("Png"):
@@ -259,9 +259,9 @@ def decode_bits(data: bytes) -> NDArray[np.uint8]:
 
 
 def decode_numbers(data: bytes) -> NDArray[Any] | None:
-    """Return the (H, W) numbers of a TIFF of one channel that are floating point, signed or longer than 16 bit.
+    """Return the (H, W) numbers of a one-channel TIFF that are floating-point, signed or longer than 16 bit.
 
-    Numbers of 64-bit floating point become the nearest of 32 bit, infinite beyond their range. None for other files.
+    float64 becomes float32, infinite beyond its range. Return None for other files.
     """
     header = _check_tiff(data) if image_kind(data) == "Tiff" else None
     if header is None or header.is_image:
@@ -271,7 +271,7 @@ def decode_numbers(data: bytes) -> NDArray[Any] | None:
         if header.code not in ("f4", "f8", "i2", "i4"):
             pixels = _with_tifffile(data, header)
         else:
-            pixels = _with_opencv(data)  # Pillow knows no numbers of 64 bit, and swaps some bytes twice
+            pixels = _with_opencv(data)  # Pillow cannot read 64-bit numbers and swaps some bytes twice
     if pixels.dtype.newbyteorder("=") != np.dtype(header.code):
         raise InputError(f"decoded as {pixels.dtype}, but its header says {header.words}")
     _check_decoded(pixels, header.size if header.turn < 5 else header.size[::-1], 1, header.bits)
@@ -280,10 +280,7 @@ def decode_numbers(data: bytes) -> NDArray[Any] | None:
 
 
 def write_drawn(path: Path, paint: Callable[[], NDArray[Any] | None]) -> None:
-    """Write the picture that ``paint`` returns, None: nothing; warn if it cannot be drawn.
-
-    It is for eyes: the result that it shows does not need it.
-    """
+    """Write the picture that ``paint`` returns, if any. Warn on failure, since results do not depend on pictures."""
     try:
         picture = paint()
     except Exception as error:
@@ -294,7 +291,7 @@ def write_drawn(path: Path, paint: Callable[[], NDArray[Any] | None]) -> None:
 
 
 def image_size(path: Path | str) -> tuple[int, int]:
-    """Return height and width of an image or map by the first bytes of its file; nothing is decoded."""
+    """Return height and width of an image or map from its header, without decoding it."""
     with open_regular(path) as file, naming(path):
         data = file.read(_HEADER_BYTES)
         kind = image_kind(data)
@@ -317,12 +314,12 @@ def image_size(path: Path | str) -> tuple[int, int]:
 
 
 def write_png(path: Path | str, array: NDArray[Any]) -> None:
-    """Write an image as :func:`png_bytes` encodes it, atomically; OutputError where the file cannot be written."""
+    """Write an image atomically as :func:`png_bytes` encodes it. Raise OutputError on failure."""
     write_bytes(path, png_bytes(array))
 
 
 def png_bytes(array: NDArray[Any]) -> bytes:
-    """Return (H, W) grey or (H, W, 3) RGB, uint8 or uint16 (bool: 0 and 255), as a PNG; ValueError for any other."""
+    """Return the PNG of (H, W) grey or (H, W, 3) RGB, uint8, uint16 or bool (as 0 and 255); otherwise ValueError."""
     if array.dtype == np.bool_:
         array = array.astype(np.uint8) * np.uint8(255)
     if array.dtype not in (np.uint8, np.uint16) or not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] == 3)):
@@ -335,7 +332,7 @@ def png_bytes(array: NDArray[Any]) -> bytes:
 
 
 def read_pair(left: Path | str, right: Path | str) -> StereoPair:
-    """Return a rectified pair; the range of 10- and 12-bit samples in 16-bit files is declared or found."""
+    """Return a rectified pair; the range of 10- or 12-bit samples in 16-bit files is declared there or estimated."""
     images, declared = [], []
     for path in (left, right):
         image, data = _read(path)
@@ -347,7 +344,10 @@ def read_pair(left: Path | str, right: Path | str) -> StereoPair:
 
 
 def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int | None = None) -> StereoPair:
-    """Return two images as a pair, both grey if one is; ``declared``: bits of the samples in the files' headers."""
+    """Return two images as a pair, both grey if one is; ``declared`` is the bits per sample in the files' headers.
+
+    Raise InputError if their sizes or dtypes differ.
+    """
     if left.shape[:2] != right.shape[:2] or left.dtype != right.dtype:
         first, second = (
             f"{image.shape[1]} x {image.shape[0]} {'grey' if image.ndim == 2 else 'colour'} {image.dtype}"
@@ -358,13 +358,13 @@ def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int |
     if bits <= 8 < 8 * left.itemsize and declared is None:
         left, right = left.astype(np.uint8), right.astype(np.uint8)
     if left.ndim != right.ndim:
-        # Grey levels of one scale: luma of the color image, in as many bits as it is stored.
+        # Luma keeps the number of bits, so that both images have the same grey scale.
         left, right = luma(left), luma(right)
     return StereoPair(left, right, bits)
 
 
 def sample_bits(*images: Image, declared: int | None = None) -> int:
-    """Return the bits of samples of one scale: those declared, 8, 10, 12, or 16, the first that fit the largest."""
+    """Return the bits per sample: the first of ``declared``, 8, 10, 12 and 16 that fits the largest sample."""
     if images[0].dtype == np.uint8:
         return 8
     top = max(int(image.max()) for image in images)
@@ -372,7 +372,7 @@ def sample_bits(*images: Image, declared: int | None = None) -> int:
 
 
 def bits_said(images: Sequence[Image], path: Path | str, declared: int | None) -> int:
-    """Return :func:`sample_bits`, with a warning where a 16-bit file has samples of 8 bit."""
+    """Return :func:`sample_bits`, with a warning if a 16-bit file has 8-bit samples."""
     bits = sample_bits(*images, declared=declared)
     if bits == 8 and declared is None and images[0].itemsize > 1:
         top = max(int(image.max()) for image in images)
@@ -381,16 +381,16 @@ def bits_said(images: Sequence[Image], path: Path | str, declared: int | None) -
 
 
 def _declared_bits(data: bytes) -> int | None:
-    """Return the used bits of a sample by a PNG's sBIT or a PNM's maximum; or None."""
+    """Return the bits per sample from a PNG's sBIT or a PNM's maximum, or None."""
     kind = image_kind(data)
     if kind == "Png" and (at := data.find(b"sBIT", 0, max(data.find(b"IDAT"), 0))) > 0:
         return max(data[at + 4 : at + 4 + data[at - 1]], default=0) or None
     top = pnm_header(data)[1] if kind == "Pnm" else 255
-    return None if top in (255, 65535) else top.bit_length()  # most programs write all ones, whatever the camera gave
+    return None if top in (255, 65535) else top.bit_length()  # most programs write these maxima for any camera
 
 
 def image_kind(data: bytes) -> str:
-    """Return the kind of file that begins with ``data``, a key of ``_KINDS``; InputError where it is none."""
+    """Return the format of a file that begins with ``data``, a key of ``_KINDS``. Raise InputError if unknown."""
     for kind, magics in _KINDS.items():
         if data.startswith(magics):
             return kind
@@ -400,7 +400,7 @@ def image_kind(data: bytes) -> str:
 
 
 def pnm_header(data: bytes) -> tuple[tuple[int, int, int], int, int]:
-    """Return shape, largest sample, and where the samples begin, of a grey or color Netpbm image."""
+    """Return shape, largest sample and offset of the samples of a grey or color Netpbm image."""
     header = _PNM_HEADER.match(data)
     width, height, top = (int(text) for text in header.groups()) if header else (0, 0, 0)
     if header is None or not (width and height and 0 < top < 65536):
@@ -409,7 +409,7 @@ def pnm_header(data: bytes) -> tuple[tuple[int, int, int], int, int]:
 
 
 def pfm_header(data: bytes) -> tuple[tuple[int, int, int], str, int]:
-    """Return shape, dtype, and the start of the values, of a PFM map; the sign of its scale is the byte order."""
+    """Return shape, dtype and offset of the values of a PFM map; the sign of its scale gives the byte order."""
     header = _PFM_HEADER.match(data)
     try:
         scale = float(header[4]) if header else 0.0
@@ -442,7 +442,7 @@ def _decode_pnm(data: bytes) -> Image:
 
 
 def _check_size(height: int, width: int, bytes_a_pixel: int, stored: int) -> None:
-    """Refuse an image that cannot be in a file of ``stored`` bytes, or takes too much memory to decode."""
+    """Raise InputError if a file of ``stored`` bytes cannot contain the image, or decoding takes too much memory."""
     decoded = height * width * bytes_a_pixel
     if decoded > _MAX_EXPANSION * stored:
         raise InputError(f"damaged image (claims {width} x {height} pixels in {stored} bytes)")
@@ -452,45 +452,45 @@ def _check_size(height: int, width: int, bytes_a_pixel: int, stored: int) -> Non
 
 @dataclass(frozen=True)
 class _TiffHeader:
-    """What the first page of a TIFF says of its samples."""
+    """The sample layout of a TIFF's first page."""
 
     size: tuple[int, int]  # height, width as stored
-    samples: int  # of a pixel
-    bits: int  # of a sample
-    format: int  # of a sample: 1 unsigned, 2 signed, 3 floating point
+    samples: int  # per pixel
+    bits: int  # per sample
+    format: int  # of samples: 1 unsigned, 2 signed, 3 floating-point
     photometric: int
     is_separate: bool  # the channels are stored one after another
     turn: int  # key of ``_TURNS``, or 0
 
     @property
     def is_float(self) -> bool:
-        """True for samples of floating point."""
+        """Whether samples are floating-point."""
         return self.format == _FLOATS
 
     @property
     def is_image(self) -> bool:
-        """True for unsigned samples of at most 16 bit."""
+        """Whether samples are unsigned and have at most 16 bit."""
         return self.format not in (_FLOATS, _SIGNED) and self.bits <= 16
 
     @property
     def code(self) -> str:
-        """Code of the dtype of a sample."""
+        """Dtype code of samples."""
         return f"{'f' if self.is_float else 'i' if self.format == _SIGNED else 'u'}{self.bits // 8}"
 
     @property
     def words(self) -> str:
-        """The samples in words."""
+        """Description of the samples for messages."""
         kind = "floating point" if self.is_float else "signed integers" if self.format == _SIGNED else "integers"
         return f"{self.samples} channel{'s' * (self.samples > 1)} of {self.bits}-bit {kind}"
 
     @property
     def is_usual(self) -> bool:
-        """True if Pillow, or OpenCV for color of 16 bit, decodes it as it is."""
+        """Whether Pillow, or OpenCV for 16-bit color, decodes it correctly."""
         wide_grey = self.bits == 16 and (self.samples == 2 or self.photometric == _MIN_IS_WHITE)
         return not wide_grey and not (self.is_separate and self.samples > 1)
 
     def check_image(self) -> None:
-        """Raise InputError if it is no grey or color image of 8 or 16 bit."""
+        """Raise InputError if it is no 8- or 16-bit grey or color image."""
         if not self.is_image:
             raise InputError(f"{self.words}, expected an image of 8 or 16 bit")
         is_color = self.photometric > 1
@@ -498,18 +498,18 @@ class _TiffHeader:
             raise InputError(f"{self.words}; expected one (grey) or three (RGB), with or without transparency")
 
     def check_numbers(self) -> None:
-        """Raise InputError if it is no map of one channel."""
+        """Raise InputError if it is no one-channel map."""
         if self.samples != 1 or self.bits not in ((16, 32, 64) if self.is_float else (8, 16, 32, 64)):
             raise InputError(f"{self.words}; expected a map of one channel, floating point of 16, 32 or 64 bit")
 
     def oriented(self, pixels: NDArray[Any]) -> Image:
-        """Return decoded pixels upright."""
+        """Return decoded pixels turned upright."""
         upright = _TURNS[self.turn](pixels) if self.turn else pixels
         return cast(Image, np.ascontiguousarray(upright, np.uint8 if upright.dtype.itemsize == 1 else np.uint16))
 
 
 def _check_tiff(data: bytes) -> _TiffHeader:
-    """Return the header of a TIFF; InputError if it has several pages, or is too large."""
+    """Return the header of a TIFF. Raise InputError if it has several pages or is too large."""
     tags = _tiff_tags(BytesIO(data))
     with _decoding("Tiff"):
         height, width, samples = int(tags[_HEIGHT]), int(tags[_WIDTH]), int(tags.get(_SAMPLES, 1))
@@ -527,9 +527,9 @@ def _check_tiff(data: bytes) -> _TiffHeader:
 
 
 def _n_pages(data: bytes) -> int:
-    """Return the number of pages of a TIFF, without those of less resolution and masks."""
+    """Return the number of pages of a TIFF, without pages of lower resolution and masks."""
     file, seen, pages = BytesIO(data), set[int](), 0
-    with contextlib.suppress(InputError):  # damaged later pages harm none of the first
+    with contextlib.suppress(InputError):  # damaged later pages do not affect the first
         tags = _tiff_tags(file)
         while True:
             pages += not int(tags.get(_SUBFILE, 0)) & _PART_OF_PAGE
@@ -543,12 +543,12 @@ def _n_pages(data: bytes) -> int:
 
 
 def _with_tifffile(data: bytes, header: _TiffHeader) -> NDArray[Any]:
-    """Return (H, W) or (H, W, 3) samples of the layouts that Pillow and OpenCV do not decode, as stored."""
+    """Return (H, W) or (H, W, 3) samples as stored, for layouts that Pillow and OpenCV do not decode."""
     import tifffile
 
     if header.samples > 1 and header.photometric > _RGB:
         raise InputError(f"{header.words} of photometric interpretation {header.photometric}; store it as RGB")
-    logging.getLogger("tifffile").disabled = True  # what it says of damaged files is in the error
+    logging.getLogger("tifffile").disabled = True  # its messages about damaged files are in the error
     try:
         with tifffile.TiffFile(BytesIO(data)) as file:
             pixels: NDArray[Any] = file.pages[0].asarray()
@@ -581,14 +581,14 @@ def _tiff_tags(file: IO[bytes]) -> Any:
 
 
 def _opened(data: bytes, kind: str) -> ImageFile:
-    """Return the image of a file, of which nothing is decoded yet."""
+    """Return the image of a file without decoding it."""
     if kind == "Png":
         _with_pillow(BytesIO(data), kind).verify()  # the checksums of all chunks
     return _with_pillow(BytesIO(data), kind)
 
 
 def _with_pillow(file: IO[bytes], kind: str) -> ImageFile:
-    # Classes are called directly: Image.open has a limit of its own for the number of pixels, and loads all formats.
+    # Classes are called directly, since Image.open has its own limit of pixels and loads all formats.
     module = importlib.import_module(f"PIL.{kind}ImagePlugin")
     opened: ImageFile = getattr(module, f"{kind}ImageFile")(file)
     return opened
@@ -607,7 +607,7 @@ def _with_opencv(data: bytes) -> NDArray[Any]:
 
 @contextlib.contextmanager
 def _decoding(kind: str) -> Iterator[None]:
-    """Make an :class:`InputError` of whatever a decoder raises on damaged data; its warnings are dropped."""
+    """Turn any error of a decoder into an :class:`InputError` and drop its warnings."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

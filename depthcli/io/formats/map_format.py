@@ -1,4 +1,4 @@
-"""Formats of maps that plug-ins read, known by the endings of their files."""
+"""Map formats of plug-ins, recognized by the endings of files."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from depthcli.io.formats.files import open_regular, shown
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 
 MAP_SUFFIXES = (".pfm", ".npy", ".npz", ".exr", *IMAGE_SUFFIXES)
-"""File name endings of the maps that this package reads itself, most exact first."""
+"""Endings of the maps that this package reads itself, most exact first."""
 
 
 class MapFormat(ABC):
-    """A format of maps of one channel, for files whose endings this package does not read itself."""
+    """A format of one-channel maps, for endings that this package does not read itself."""
 
     suffixes: ClassVar[tuple[str, ...]]
-    """Endings of the files' names, in lower case, with the dot."""
+    """Endings of file names, in lower case, with the dot."""
 
     def __init_subclass__(cls) -> None:
-        """Raise TypeError if other files have the endings."""
+        """Raise TypeError if the endings are not lower-case endings in a tuple, or the package reads them itself."""
         suffixes = getattr(cls, "suffixes", ())
         if not isinstance(suffixes, tuple) or not all(str(suffix).startswith(".") for suffix in suffixes):
             raise TypeError(f"suffixes: expected a tuple of endings such as ('.flo5',), got {suffixes!r}")
@@ -40,12 +40,12 @@ class MapFormat(ABC):
 
     @abstractmethod
     def read(self, path: Path) -> NDArray[Any]:
-        """Return the map as stored; InputError, ValueError or OSError where the file is damaged.
+        """Return the map as stored. Raise InputError, ValueError or OSError if the file is damaged.
 
         Returns
         -------
-        (H, W) of a float dtype: disparities in pixels, depths in meters, NaN or infinite = unknown; or of an integer
-        dtype: codes, divided by the scale that the user or the scene gives, 0 = unknown
+        (H, W) floats: disparities in pixels or depths in meters, NaN or infinite = unknown; or (H, W) integers: codes,
+        which are divided by the scale that the user or the scene gives, 0 = unknown
         """
 
 
@@ -53,13 +53,13 @@ _REGISTRY = Registry[MapFormat](__name__)
 
 
 def map_formats() -> dict[str, MapFormat]:
-    """Return ending -> format of plug-ins, in the order of their names; the first that has an ending reads it."""
+    """Return ending -> plug-in's format; if several have the same ending, the first in order of names is used."""
     formats = [kind() for _, kind in sorted(_REGISTRY.added.items())]
     return {suffix: each for each in reversed(formats) for suffix in each.suffixes}
 
 
 def map_suffixes() -> tuple[str, ...]:
-    """Return the endings of all files that may be maps, our own first."""
+    """Return the endings of all map files, the package's own first."""
     return (*MAP_SUFFIXES, *sorted(map_formats()))
 
 
@@ -70,19 +70,19 @@ def format_plugins(files: Iterable[Path]) -> set[Plugin]:
 
 
 def read_by_plugin(path: Path | str) -> NDArray[Any] | None:
-    """Return the map that a plug-in reads from a file; None where the file's ending is none of theirs."""
+    """Return the map that a plug-in reads from a file, or None if no plug-in reads its ending."""
     suffix = Path(path).suffix.lower()
     reader = None if suffix in MAP_SUFFIXES else map_formats().get(suffix)
     if reader is None:
         return None
-    with open_regular(path):  # a regular file that can be opened, whatever the plug-in checks
+    with open_regular(path):  # raises if the file is not regular or cannot be opened
         pass
     try:
         values = np.asarray(reader.read(Path(path)))
         if values.ndim != 2 or values.dtype.kind not in "iuf" or not values.size:
             raise InputError(f"format {reader.name}: expected (H, W) numbers, got {values.shape} {values.dtype}")
         return values
-    except Exception as error:  # a stranger's code may raise anything
+    except Exception as error:  # a plug-in may raise anything
         why = (str(error).splitlines() or [type(error).__name__])[0]
         text = why if isinstance(error, DepthcliError) else f"cannot be read as {reader.name}: {why}"
         raise InputError(text if str(path) in text else f"{shown(path)}: {text}") from error

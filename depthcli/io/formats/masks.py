@@ -1,4 +1,4 @@
-"""Masks of pixels as image files: 0 outside, the largest value inside, whatever that is."""
+"""Masks as image files: 0 is outside, the largest value of the file is inside."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import shown, warn
 
-_MIDDLEBURY = (0, 128, 255)  # unknown, seen by one view alone, and seen by both; only the last is inside
+_MIDDLEBURY = (0, 128, 255)  # unknown, visible in one view, visible in both; only the last is inside
 
 
 def read_mask(path: Path | str) -> NDArray[np.bool_]:
-    """Return (H, W), True where a mask is above half of its largest value: 0/255, 0/1, 0/128, or true and false.
+    """Return an (H, W) mask, True above half of its largest value. It may be 0/255, 0/1, 0/128 or bool.
 
-    There is a warning if other values occur, as in a JPEG or a map of labels, except those of Middlebury's masks.
+    Other values, as in a JPEG or a label map, cause a warning, except for Middlebury's masks.
     """
     values = read_plane(path)
     if not np.isfinite(values).all() or values.min() < 0:
@@ -33,7 +33,7 @@ def read_mask(path: Path | str) -> NDArray[np.bool_]:
 
 
 def read_filled_mask(path: Path | str) -> NDArray[np.bool_]:
-    """Return a mask as :func:`read_mask` does; InputError where no pixel is inside."""
+    """Return a mask as :func:`read_mask` does. Raise InputError if no pixel is inside."""
     inside = read_mask(path)
     if not inside.any():
         raise InputError(f"{shown(path)}: no pixel is inside the mask; expected 0 outside and 255 inside")

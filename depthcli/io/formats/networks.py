@@ -1,4 +1,4 @@
-"""Trained networks as JSON files: four digits a number; tables of errors as CSV."""
+"""Trained networks as JSON files, with four digits per number, and error tables as CSV."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SHIPPED = Path(__file__).resolve().parent.parent / "networks"
 
 
 def network_path(name: str) -> Path:
-    """Return the file of a network: ``name`` itself if it ends with .json, or a file of the package."""
+    """Return the path of a network: ``name`` itself if it ends with .json, otherwise a file of the package."""
     if name.endswith(".json"):
         return Path(name)
     shipped = {file.stem: file for file in sorted(_SHIPPED.glob("*.json"))}
@@ -32,14 +32,14 @@ def network_path(name: str) -> Path:
 
 
 def read_network(path: Path) -> TrainedNetwork:
-    """Return a network that :func:`write_network` wrote."""
+    """Return a network from a file of :func:`write_network`."""
     data = read_bytes(path, _MAX_BYTES)
     with naming(path):
         try:
             content = json.loads(data)
             if content["format"] != _FORMAT:
                 raise InputError(f"format {str(content['format'])[:40]!r}, expected {_FORMAT!r}")
-            with np.errstate(over="ignore"):  # infinite values are errors
+            with np.errstate(over="ignore"):  # TrainedNetwork rejects infinite values
                 arrays = [(each["weights"], each["offsets"]) for each in content["layers"]]
                 return TrainedNetwork(
                     tuple(map(str, content["maps"])),
@@ -54,18 +54,18 @@ def read_network(path: Path) -> TrainedNetwork:
 
 
 def read_numbers(name: str) -> NDArray[np.float64]:
-    """Return the rows of numbers of a CSV file of the package."""
+    """Return the rows of numbers in a CSV file of the package."""
     return np.loadtxt(_SHIPPED / f"{name}.csv", delimiter=",", ndmin=2)
 
 
 def read_errors(name: str) -> ErrorTable:
-    """Return a table of errors of the package, which ``scripts/train_bounds.py`` wrote."""
+    """Return an error table of the package, written by ``scripts/train_bounds.py``."""
     rows = read_numbers(name)
     return ErrorTable(rows[1:, 0], rows[0, 1:], rows[1:, 1:])
 
 
 def write_network(path: Path, network: TrainedNetwork) -> None:
-    """Write what :func:`read_network` reads."""
+    """Write a network for :func:`read_network`."""
 
     def rounded(array: NDArray[np.float32]) -> Any:
         return np.vectorize(lambda value: float(f"{value:.4g}"), otypes=[float])(array).tolist()

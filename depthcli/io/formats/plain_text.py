@@ -1,4 +1,4 @@
-"""Content of small text files: JSON objects, lines of key and value, tables, numbers of a known count."""
+"""Parse small text files: JSON objects, key-value lines, tables, and numbers of a known count."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _COUNTED = {"voxel", "voxels", "vox", "px", "pixel", "pixels", "index", "idx", "
 
 
 def text_of(data: bytes, errors: str = "") -> str:
-    """Return the text of a file without its byte-order mark: UTF-8, or UTF-16 with such a mark.
+    """Return the text of a UTF-8 file, or of a UTF-16 file with a byte-order mark, without the mark.
 
-    What is not UTF-8 is decoded with ``errors``, a handler of ``bytes.decode``, or else as Latin 1.
+    Other bytes are decoded with ``errors``, a handler of ``bytes.decode``; by default, the file is read as Latin 1.
     """
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16", "replace")
@@ -39,7 +39,7 @@ def text_of(data: bytes, errors: str = "") -> str:
 
 
 def json_object(data: bytes | str) -> dict[str, Any]:
-    """Return the object that a JSON file is; InputError where it is none."""
+    """Return the object in a JSON file. Raise InputError if there is none."""
     try:
         fields = json.loads(data if isinstance(data, str) else text_of(data, "strict"))
     except (ValueError, RecursionError) as error:
@@ -50,14 +50,14 @@ def json_object(data: bytes | str) -> dict[str, Any]:
 
 
 def key_values(text: str) -> dict[str, str]:
-    """Return key -> value of the lines ``key = value`` or ``key: value``; others are passed over."""
+    """Return key -> value for lines ``key = value`` or ``key: value``; other lines are ignored."""
     return dict(re.findall(r"^\s*(\w+)\s*[=:]\s*(.*?)\s*$", text, re.MULTILINE))
 
 
 def table_rows(lines: Sequence[str], separators: str = "\t,;") -> list[list[str]]:
-    """Return the cells of a table, which the first of ``separators`` in its first line separates, or a comma.
+    """Return the cells of a table; the separator is the first of ``separators`` in its first line, or a comma.
 
-    InputError where it is none.
+    Raise InputError if the lines are no table.
     """
     separator = next((mark for mark in separators if lines and mark in lines[0]), ",")
     try:
@@ -68,10 +68,10 @@ def table_rows(lines: Sequence[str], separators: str = "\t,;") -> list[list[str]
 
 
 def _cells(line: str) -> list[str]:
-    """Return the cells of a line of a table of numbers, whose decimal commas become points."""
+    """Return the cells of a line in a table of numbers; decimal commas become points."""
     words = line.split()
     if not re.search("[\t;,]", line) or (len(words) > 1 and all(map(is_number, words))):
-        return re.sub(r"\s+(?=[(\[])", "", line).split()  # a unit belongs to the name before it
+        return re.sub(r"\s+(?=[(\[])", "", line).split()  # keep a unit with its name
     (cells,) = table_rows([line], "," if re.search(r",\s*\t|\t\s*,", line) else "\t;,")
     return [re.sub(r"^([-+]?\d*),(\d+([eE][-+]?\d+)?)$", r"\1.\2", cell) for cell in cells]
 
@@ -86,11 +86,12 @@ def is_number(text: str) -> bool:
 
 
 def points_of(lines: Sequence[str], comments: Sequence[str] = ()) -> NDArray[np.float64]:
-    """Return the points (N, 3) x, y, z, mm, LPS, of a table that has a point in every line.
+    """Return points (N, 3) x, y, z, mm, LPS, from a table with one point per line.
 
-    The columns are found by their names, which a comment has, or a first line without a number: three that differ in x,
-    y and z, or the letters of anatomical axes, such as L, P, S or R, A, S; units and frames beside them count. Without
-    such names they are the first three after an id: a word, or numbers that count lines. InputError where none is.
+    Column names are in a comment or in a first line without numbers. The coordinates are three names that differ in x,
+    y and z, or letters of anatomical axes such as L, P, S or R, A, S; units and frames in the names are applied.
+    Without such names, the coordinates are the first three columns, after an optional id: a word, or line numbers.
+    Raise InputError if there are no points.
     """
     rows, heads = ([_cells(line) for line in some] for some in (lines, comments))
     first = 1
@@ -112,13 +113,13 @@ def points_of(lines: Sequence[str], comments: Sequence[str] = ()) -> NDArray[np.
     return array
 
 
-Columns = list[tuple[int, float]]  # of x, y and z, each with its factor to mm, LPS
+Columns = list[tuple[int, float]]  # columns of x, y and z with their factors to mm, LPS
 
 
 def _named_coordinates(names: Sequence[str]) -> Columns | None:
-    """Return the columns that ``names`` call x, y and z, or the axes of the body; None without such."""
+    """Return the columns named x, y and z, or after anatomical axes; None if there are none."""
     words = [_words(name) for name in names]
-    triples: dict[tuple[str, str], dict[int, list[int]]] = {}  # name before and behind the letter -> axis -> columns
+    triples: dict[tuple[str, str], dict[int, list[int]]] = {}  # name before and after the letter -> axis -> columns
     for column, name in enumerate(map(str.lower, names)):
         for letter in re.finditer("[xyz]", name):
             axes = triples.setdefault((name[: letter.start()], name[letter.end() :]), {})
@@ -145,14 +146,14 @@ def _words(name: str) -> list[str]:
 
 
 def _millimeters(unit: Sequence[str], others: Sequence[str] = ()) -> float:
-    """Return the length in mm of the unit among the words behind a column's letter, 1 without one."""
+    """Return the unit, in mm, among the words after a column's letter; 1 if there is none."""
     if _COUNTED & {*unit, *others}:
         raise InputError("positions in voxels; they must be in mm")
     return next((_MILLIMETERS[word] for word in unit if word in _MILLIMETERS), 1.0)
 
 
 def _first_coordinates(rows: Sequence[Sequence[str]], names: Sequence[str]) -> Columns:
-    """Return the first three columns behind one that only tells the points apart; ``names`` call no axis."""
+    """Return the first three columns, after an id column if there is one; ``names`` contain no axes."""
     width = max((len(row) - row.count("") for row in rows), default=0)
     ids = [float(row[0]) if is_number(row[0]) else math.nan for row in rows]
     counted = any(ids == list(range(start, start + len(ids))) for start in (0, 1))
@@ -165,9 +166,9 @@ def _first_coordinates(rows: Sequence[Sequence[str]], names: Sequence[str]) -> C
 
 
 def numbers(value: Any, name: str, shape: tuple[int, ...] = (-1,)) -> NDArray[np.float64]:
-    """Return the finite numbers of a value: one, those of a text (as ``[1 0; 0 1]``), of a list, or of a list of rows.
+    """Return the finite numbers in a number, a text such as ``[1 0; 0 1]``, a list, or a list of rows.
 
-    InputError, which names the field, where it is something else or has another count than ``shape``; (-1,): any.
+    Raise InputError, with the field's ``name``, for other values or counts other than ``shape``; (-1,) is any count.
     """
     items = re.sub(r"[\[\];,]", " ", value).split() if isinstance(value, str) else value
     items = items if isinstance(items, list) else [items]
@@ -181,14 +182,14 @@ def numbers(value: Any, name: str, shape: tuple[int, ...] = (-1,)) -> NDArray[np
         wanted = {-1: "finite numbers", 1: "1 number"}.get(count, f"{' x '.join(map(str, shape))} finite numbers")
         try:
             got = reprlib.repr(value)
-        except ValueError:  # Python writes no integer of more than 4300 digits, which YAML has as 0x...
+        except ValueError:  # Python prints no integers of over 4300 digits; YAML allows them as 0x...
             got = "a number of thousands of digits"
         raise InputError(f"{name}: expected {wanted} (got {got})")
     return array.reshape(shape)
 
 
 def image_sides(value: Any, name: str) -> tuple[int, int]:
-    """Return width and height of an image, pixels; InputError where they make no sense."""
+    """Return width and height of an image, pixels. Raise InputError if they are not plausible."""
     width, height = numbers(value, name, (2,))
     if not 1 <= min(width, height) <= max(width, height) <= _MAX_SIDE:
         raise InputError(f"{name}: expected the size of an image (got {width:g} x {height:g})")

@@ -1,4 +1,4 @@
-"""Files of camera poses: where the camera was for each frame of a recording."""
+"""Files of camera poses, one for each frame of a recording."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from depthcli.io.formats.plain_text import text_of
 Pose = tuple[float, ...]
 """The 16 numbers of a (4, 4) matrix, row by row: from the camera's coordinates to the world's, meters."""
 
-_MAX_DELAY = 0.02  # seconds, as of the TUM RGB-D benchmark's associate.py
-_TIME_TOLERANCE = 1e-6  # seconds by which times differ that were rounded
+_MAX_DELAY = 0.02  # seconds, as in the TUM RGB-D benchmark's associate.py
+_TIME_TOLERANCE = 1e-6  # largest rounding error of times, seconds
 
 
 class Poses:
-    """Poses by their times (seconds, or numbers of frames), which are in order; without times in the frames' order."""
+    """Poses with sorted times (seconds or frame numbers), or in the order of frames if ``times`` is empty."""
 
     def __init__(self, times: list[float], matrices: list[NDArray[np.float64]]) -> None:
         self.times, self.matrices = times, matrices
 
     def at(self, time: float) -> Pose | None:
-        """Return the pose at a time, interpolated between its two neighbors; None if none is 20 ms near."""
+        """Return the pose at a time, interpolated between neighbors within 20 ms; None if there are none."""
         limit, after = _MAX_DELAY + _TIME_TOLERANCE, bisect.bisect_left(self.times, time)
         near = [k for k in (after - 1, after) if 0 <= k < len(self.times) and abs(self.times[k] - time) <= limit]
         if not near:
@@ -44,7 +44,7 @@ class Poses:
         return tuple(matrix.ravel().tolist())
 
     def of_frames(self, numbers: list[int]) -> dict[int, Pose | None]:
-        """Return frame number -> pose, by the numbers in the file, or in their order; None after the last one."""
+        """Return frame number -> pose, by the times in the file or by order; None if a frame has no pose."""
         if self.times:
             return {number: self.at(number) for number in numbers}
         flat: list[Pose | None] = [tuple(matrix.ravel().tolist()) for matrix in self.matrices]
@@ -52,9 +52,9 @@ class Poses:
 
 
 def read_poses(path: Path) -> Poses:
-    """Return poses of lines ``time tx ty tz qx qy qz qw``, or of 16 numbers each, on one line or on four.
+    """Return poses from lines ``time tx ty tz qx qy qz qw``, or from 16 numbers per pose, on one line or on four.
 
-    Lines that begin with ``#`` are passed over.
+    Lines that begin with ``#`` are ignored.
     """
     rows: list[list[float]] = []
     with naming(path):
@@ -89,7 +89,7 @@ def read_poses(path: Path) -> Poses:
 
 
 def pose_of(matrix: NDArray[np.float64]) -> Pose:
-    """Return a (4, 4) matrix as a pose; InputError where it is none."""
+    """Return a (4, 4) matrix as a pose. Raise InputError if it is no pose."""
     if not is_rotation(matrix[:3, :3]) or not np.allclose(matrix[3], (0, 0, 0, 1)):
         raise InputError("not the matrix of a pose: expected a rotation, a translation in meters, and 0 0 0 1 below")
     return tuple(matrix.ravel().tolist())

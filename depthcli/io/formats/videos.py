@@ -1,4 +1,4 @@
-"""Frames of video files, one by one."""
+"""Read single frames of video files."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from depthcli.core.errors import InputError
 from depthcli.io.formats.files import open_regular, shown
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
-"""File name endings of videos."""
+"""Endings of video files."""
 
-_RATES = (0.01, 2000.0)  # frames a second; others are made up, as no file has them
+_RATES = (0.01, 2000.0)  # plausible frames per second; decoders report others if a file has none
 
 _open: dict[Path, tuple[cv2.VideoCapture, int]] = {}
-"""Videos that this process reads, with the number of the next frame: frames are mostly read in order."""
+"""Path -> open video and number of its next frame; frames are mostly read in order."""
 
 
 def _video(path: Path) -> cv2.VideoCapture:
-    # FFmpeg alone: another backend takes numbered names for images, which it would decode unchecked.
+    # FFmpeg only: another backend takes numbered names for image sequences and would decode them unchecked.
     return cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
 
 
 def frames_and_rate(path: Path) -> tuple[int, float]:
-    """Return the number of frames in a video's header, and how many of them are a second; 0: it does not say.
+    """Return the number of frames in a video's header and the frames per second, 0 if unknown.
 
-    InputError if it cannot be decoded.
+    Raise InputError if the video cannot be decoded.
     """
     with open_regular(path):
         video = _video(path)
@@ -41,8 +41,8 @@ def frames_and_rate(path: Path) -> tuple[int, float]:
 
 
 def read_frame(path: Path, number: int) -> NDArray[np.uint8]:
-    """Return the frame ``number`` (from 0) of a video, (H, W, 3) uint8 RGB; InputError where it cannot be decoded."""
-    # Seeking is not exact in every format: frames are decoded from the last one on that this process read.
+    """Return the frame ``number`` (from 0) of a video, (H, W, 3) uint8 RGB. Raise InputError on failure."""
+    # Seeking is not exact in every format, so that decoding continues after the last frame that was read.
     video, following = _open.get(path, (None, 0))
     if video is None or number < following:
         video, following = _video(path), 0

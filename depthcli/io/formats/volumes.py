@@ -1,7 +1,7 @@
 """Volumes as files: NIfTI, MetaImage, NRRD, DIR-Lab raw, DICOM series; two-dimensional images as one slice.
 
-They are read through SimpleITK, an extra (``pip install depthcli[medical]``) that is imported here only. They are
-written by hand, slab by slab, so that a volume larger than the memory can be written, and with the same bytes always.
+SimpleITK reads them; only this module imports this extra (``pip install depthcli[medical]``). Volumes are written
+without it, slab by slab, so that a volume may be larger than the memory and its bytes are reproducible.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from depthcli.io.formats.images import IMAGE_SUFFIXES, image_size, read_grey
 from depthcli.io.formats.plain_text import json_object, numbers
 
 VOLUME_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img")
-"""Endings of volume files; ``.img`` is NIfTI with a header beside it, or DIR-Lab's raw format with ``meta.json``."""
+"""Endings of volume files; ``.img`` is NIfTI with a separate header, or DIR-Lab's raw format with ``meta.json``."""
 
 _NIFTI = (".nii", ".nii.gz", ".hdr", ".img")
 _ITK_READERS = dict.fromkeys(_NIFTI, "NiftiImageIO") | dict.fromkeys((".mha", ".mhd"), "MetaImageIO")
 _ITK_READERS |= dict.fromkeys((".nrrd", ".nhdr"), "NrrdImageIO")
 _MAX_SIDE = 1 << 20  # voxels; no volume is as wide
-_MAX_SPACING = 1e12  # mm; 1e-12 is the smallest: squares of both are well within the range of 32 bit
-_NIFTI_FLOATS = {"16": "f4", "64": "f8"}  # by the header's datatype
+_MAX_SPACING = 1e12  # mm; the smallest is 1e-12; float32 can represent the squares of both
+_NIFTI_FLOATS = {"16": "f4", "64": "f8"}  # the header's datatype -> dtype
 _SLICE_POSITION = "0020|0032"  # DICOM's Image Position (Patient)
-_MAX_UNEVENNESS = 0.05  # of the distances of slices; a missing slice makes one twice as large
-_HEADER_BYTES = 1 << 20  # first part of a MetaImage file, with its header
-_MAX_LINE = 250  # characters in a header of MetaImage, whose library copies longer ones without a check
+_MAX_UNEVENNESS = 0.05  # largest relative difference of slice distances; a missing slice doubles one of them
+_HEADER_BYTES = 1 << 20  # start of a MetaImage file, which contains its header
+_MAX_LINE = 250  # characters per line in a MetaImage header; the library copies longer lines unchecked
 
 Slab = Callable[[int, int], NDArray[Any]]
-"""Slices ``first`` up to ``last`` of a volume, (n, Y, X), or (n, Y, X, 3) of a vector field."""
+"""(first, last) -> slices ``first`` up to ``last`` of a volume (n, Y, X) or vector field (n, Y, X, 3)."""
 
 
 def suffix_of(path: Path) -> str:
@@ -51,7 +51,7 @@ def suffix_of(path: Path) -> str:
 
 
 def simple_itk() -> Any:
-    """Return the module SimpleITK; InputError with how to install it if it is missing."""
+    """Return the module SimpleITK. If it is missing, raise InputError with install instructions."""
     try:
         with warnings.catch_warnings():
             # SWIG's types lack a __module__ attribute, which Python 3.12 and newer deprecate.
@@ -64,12 +64,15 @@ def simple_itk() -> Any:
 
 
 def is_raw(path: Path) -> bool:
-    """Return whether a file is in DIR-Lab's raw format: ``.img`` without a NIfTI header beside it."""
+    """Return whether a file is in DIR-Lab's raw format: ``.img`` without a NIfTI header."""
     return suffix_of(path) == ".img" and not nifti_header(path)
 
 
 def read_volume(path: Path, vector: bool = False, infinite: bool = False) -> Volume:
-    """Return a volume, or a field of three components; ``infinite``: infinite numbers of NIfTI files stay, else NaN."""
+    """Return a volume, or a field of three components if ``vector``. Infinite numbers in NIfTI files become NaN.
+
+    If ``infinite``, they are kept.
+    """
     with naming(path):
         if suffix_of(path) in IMAGE_SUFFIXES:
             plane = read_grey(path)
@@ -88,9 +91,9 @@ def read_volume(path: Path, vector: bool = False, infinite: bool = False) -> Vol
             raise InputError(f"{parts} values a voxel, expected {wanted}")
         spacing = _checked(image.GetSpacing())
         grid = Grid(tuple(image.GetSize()), spacing, tuple(image.GetOrigin()), tuple(image.GetDirection()))
-        with np.errstate(over="ignore"):  # beyond the range of 32 bit they are no numbers
+        with np.errstate(over="ignore"):  # values beyond float32 become infinite
             values = np.array(simple_itk().GetArrayViewFromImage(image), np.float32, order="C")
-        # In a NIfTI file a field's components follow one another.
+        # NIfTI stores a field's components one after another.
         in_order = np.moveaxis(values, -1, 0) if vector else values
         if unknown is not None:
             marks = unknown.reshape(in_order.shape)
@@ -105,7 +108,10 @@ def _checked(spacing: Any) -> Any:
 
 
 def read_grid(path: Path) -> Grid:
-    """Return where the voxels of a volume are, by its header alone; InputError as :func:`read_volume`."""
+    """Return a volume's size and spacing as a grid from the header alone; origin and direction may be missing.
+
+    Raise InputError as :func:`read_volume` does.
+    """
     if os.path.isdir(path):
         return read_volume(path).grid
     with naming(path):
@@ -122,9 +128,9 @@ def read_grid(path: Path) -> Grid:
 
 
 def read_itk(path: Path) -> tuple[Any, NDArray[np.float32] | None]:
-    """Return the SimpleITK image of a file, and the numbers of a NIfTI file that are not finite, which ITK makes 0.
+    """Return the SimpleITK image of a file, and the non-finite numbers of a NIfTI file, which ITK reads as 0.
 
-    The latter is None where all are finite, and else flat, in the order of the file, 0 for finite ones.
+    They are in a flat array in the file's order, 0 for finite numbers, or None if all are finite.
     """
     if os.path.isdir(path):
         return _dicom(path), None
@@ -135,7 +141,7 @@ def read_itk(path: Path) -> tuple[Any, NDArray[np.float32] | None]:
 
 
 def _dicom(folder: Path) -> Any:
-    """Return the SimpleITK image of the one DICOM series in a folder, whose slices must be evenly spaced."""
+    """Return the SimpleITK image of the only DICOM series in a folder; its slices must be evenly spaced."""
     reader = simple_itk().ImageSeriesReader()
     with library_errors():
         series = reader.GetGDCMSeriesIDs(str(folder))
@@ -165,7 +171,7 @@ def _dicom(folder: Path) -> Any:
 
 
 def _check_single_frame(file: Path) -> None:
-    """Raise InputError if a DICOM file holds several frames."""
+    """Raise InputError if a DICOM file has several frames."""
     header = simple_itk().ImageFileReader()
     header.SetImageIO("GDCMImageIO")
     header.SetFileName(str(file))
@@ -176,7 +182,7 @@ def _check_single_frame(file: Path) -> None:
 
 
 def itk_header(path: Path) -> Any:
-    """Return SimpleITK's reader of a file, with its header read; it tries no other format than the ending's."""
+    """Return SimpleITK's reader for a file after reading the header; the ending gives the format."""
     kind = suffix_of(path)
     if kind not in _ITK_READERS:
         raise InputError(f"no volume of a kind that is read; expected {' '.join(VOLUME_SUFFIXES)}")
@@ -188,7 +194,7 @@ def itk_header(path: Path) -> Any:
     for file in (path, *volume_files(path)):
         if not file.is_relative_to(path.parent) or ".." in file.relative_to(path.parent).parts:
             raise InputError(f"its values lie in {file.name}, which is not in its own folder")
-        with open_regular(file):  # the library would wait for the other end of a pipe
+        with open_regular(file):  # raises for a pipe, at which the library would hang
             pass
     try:
         str(path).encode()
@@ -203,9 +209,9 @@ def itk_header(path: Path) -> Any:
 
 
 def _unknown_in_nifti(path: Path, reader: Any) -> NDArray[np.float32] | None:
-    """Return the numbers that are not finite, 0 for others.
+    """Return the non-finite numbers, 0 for finite ones, or None if all are finite.
 
-    InputError where the file is cut off, which ITK fills up with zeros.
+    Raise InputError if the file is cut off; ITK would fill it with zeros.
     """
     kind = _NIFTI_FLOATS.get(reader.GetMetaData("datatype"))
     n_values = int(np.prod(reader.GetSize())) * reader.GetNumberOfComponents()
@@ -231,9 +237,9 @@ def _unknown_in_nifti(path: Path, reader: Any) -> NDArray[np.float32] | None:
 
 @contextlib.contextmanager
 def library_errors() -> Iterator[None]:
-    """Make an InputError of one line of whatever SimpleITK raises on damaged data; what its C++ prints is dropped."""
+    """Turn any error of SimpleITK into an InputError of one line, and drop the output of its C++ code."""
     with contextlib.ExitStack() as stack:
-        with contextlib.suppress(OSError):  # without a standard error there is nothing to drop
+        with contextlib.suppress(OSError):  # there may be no standard error
             saved = os.dup(2)
             stack.callback(os.close, saved)
             stack.callback(os.dup2, saved, 2)
@@ -243,14 +249,14 @@ def library_errors() -> Iterator[None]:
             yield
         except InputError:
             raise
-        except Exception as error:  # besides RuntimeError, UnicodeDecodeError of its own messages and TypeError
+        except Exception as error:  # RuntimeError, TypeError, and UnicodeDecodeError from its messages
             lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
             reason = next((line.partition("ERROR: ")[2] or line for line in lines if "ERROR" in line), lines[-1])
             raise InputError(f"cannot be read ({reason.partition('): ')[2] or reason})"[:300]) from None
 
 
 def _dirlab_grid(path: Path) -> Grid:
-    """The grid of a raw file, by the ``size`` and ``spacing`` (x, y, z) of the meta.json in its folder."""
+    """Return the grid of a raw file from ``size`` and ``spacing`` (x, y, z) of meta.json in its folder."""
     meta_file = path.with_name("meta.json")
     try:
         meta = json_object(read_bytes(meta_file, 1 << 20))
@@ -263,7 +269,7 @@ def _dirlab_grid(path: Path) -> Grid:
 
 
 def _dirlab(path: Path) -> Volume:
-    """DIR-Lab: little-endian int16, x fastest, slices in the order in which its landmarks count them."""
+    """Read DIR-Lab's format: little-endian int16, x fastest, slices in the order of its landmarks' indices."""
     grid = _dirlab_grid(path)
     data = read_bytes(path)
     wanted = 2 * grid.size[0] * grid.size[1] * grid.size[2]
@@ -273,7 +279,7 @@ def _dirlab(path: Path) -> Volume:
 
 
 def itk_image(values: NDArray[Any], grid: Grid) -> Any:
-    """Return a (Z, Y, X) volume or a (Z, Y, X, 3) field on its grid, as an image of SimpleITK."""
+    """Return a (Z, Y, X) volume or a (Z, Y, X, 3) field as a SimpleITK image on its grid."""
     image = simple_itk().GetImageFromArray(values, isVector=values.ndim == 4)
     image.SetSpacing(grid.spacing)
     image.SetOrigin(grid.origin)
@@ -282,15 +288,13 @@ def itk_image(values: NDArray[Any], grid: Grid) -> Any:
 
 
 def written_suffix(path: Path) -> str:
-    """Return the ending of what is written for an input: its own format where that holds real numbers."""
+    """Return the ending of outputs for an input: its own format if that is written here, otherwise ``.mha``."""
     own = suffix_of(path)
     return {".mhd": ".mha", ".nhdr": ".nrrd"}.get(own, own if own in (".nii", ".nii.gz", ".nrrd") else ".mha")
 
 
 def write_volume(path: Path, grid: Grid, slab: Slab, vector: bool = False, bytes_: bool = False) -> None:
-    """Write float32 slices, or uint8 ones, as they come, in the format of the ending.
-
-    That is ``.nii``, ``.nii.gz``, ``.mha`` or ``.nrrd``.
+    """Write slices as float32, or as uint8 if ``bytes_``, to ``.nii``, ``.nii.gz``, ``.mha`` or ``.nrrd``.
 
     A field is written in mm along LPS, as ITK reads it; in NIfTI with the intent of a vector (1007).
     """
@@ -305,19 +309,19 @@ def write_volume(path: Path, grid: Grid, slab: Slab, vector: bool = False, bytes
             packed = stack.enter_context(gzip.GzipFile("", "wb", 1, file, mtime=0))
         if nifti:
             packed.write(_nifti_header(grid, vector, bytes_))
-        for part in range(3) if vector and nifti else (slice(None),):  # NIfTI has the components one after another
+        for part in range(3) if vector and nifti else (slice(None),):  # NIfTI stores components one after another
             for first in range(0, grid.shape[0], step):
                 values = slab(first, min(first + step, grid.shape[0]))
                 packed.write(np.ascontiguousarray(values[..., part], "u1" if bytes_ else "<f4").data)
 
 
 def write_array(path: Path, grid: Grid, values: NDArray[np.float32]) -> None:
-    """Write a (Z, Y, X) volume or a (Z, Y, X, 3) field that is in memory."""
+    """Write a (Z, Y, X) volume or a (Z, Y, X, 3) field from memory."""
     write_volume(path, grid, lambda first, last: values[first:last], values.ndim == 4)
 
 
 def _meta_header(grid: Grid, vector: bool, bytes_: bool) -> bytes:
-    # MetaImage lists the axes one after another; ITK's matrix has them as columns.
+    # MetaImage lists the axes one after another, but ITK's matrix has them as columns.
     axes, origin, spacing = (
         " ".join(f"{v:.17g}" for v in values) for values in (grid.axes.T.ravel(), grid.origin, grid.spacing)
     )
@@ -347,7 +351,7 @@ def _nrrd_header(grid: Grid, vector: bool, bytes_: bool) -> bytes:
 
 def _nifti_header(grid: Grid, vector: bool, bytes_: bool) -> bytes:
     """Return the header of a float32 or uint8 volume, or of a vector field (intent 1007)."""
-    header = bytearray(352)  # with the four that say whether extensions follow
+    header = bytearray(352)  # the last four bytes are the extension flags
     struct.pack_into("<i", header, 0, 348)
     x, y, z = grid.size
     struct.pack_into("<8h", header, 40, *((5, x, y, z, 1, 3, 1, 1) if vector else (3, x, y, z, 1, 1, 1, 1)))
@@ -370,7 +374,7 @@ def _nifti_header(grid: Grid, vector: bool, bytes_: bool) -> bytes:
 
 
 def _quaternion(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
-    """b, c, d of a proper rotation, with a >= 0 (the NIfTI standard's method)."""
+    """Return b, c, d of a proper rotation's quaternion, with a >= 0 (the NIfTI standard's method)."""
     trace = float(np.trace(rotation))
     if trace > -0.5:
         a = 0.5 * np.sqrt(max(1 + trace, 0.0))

@@ -1,16 +1,16 @@
-"""Scenes, and one way to find them: by rows of file names.
+"""Scenes, and how to find them by rows of file names.
 
 ==========  =================================================================================================
-``kinds``   the kinds of scene, as files and facts
+``kinds``   the kinds of scene: file names and metadata
 ``places``  archives and URLs, fetched and unpacked once
-``rows``    a folder as a layout sees it; a row of file names, of the package or of a user's YAML file
-``pairs``   ``PAIRS``, the table of stereo pairs; pairs of single files, patterns, videos and tables of files
-``frames``  ``FRAMES``, the table of frames of color and depth; single frames
-``volumes`` ``VOLUMES``, pairs of volumes; single pairs
-``find``    start here: the scenes of a folder, or of the options of a command
+``rows``    folders as layouts see them; rows of file names, from the package or a user's YAML file
+``pairs``   ``PAIRS``, the table of stereo layouts; pairs from single files, patterns, videos and tables of files
+``frames``  ``FRAMES``, the table of RGB-D layouts; single frames
+``volumes`` ``VOLUMES``, the layout of volume pairs; single pairs
+``find``    start here: find the scenes in a folder, or from a command's options
 ==========  =================================================================================================
 
-A command imports the table of the scenes that it works on.
+A command imports the table for its kind of scene.
 """
 
 from depthcli.io.scenes.kinds import (

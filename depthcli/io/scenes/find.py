@@ -1,4 +1,4 @@
-"""From a folder, or the options of a command, to scenes: layouts that are tried, names of scenes, broken scenes."""
+"""Find the scenes in a folder or from a command's options: try the layouts, name the scenes, keep broken ones."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ ALL_KINDS = Layouts.of(Scene, *PAIRS.rows, *FRAMES.rows, *VOLUMES.rows)
 """The layouts of every kind of scene."""
 
 _NAMED = ((StereoScene, named_pairs), (RgbdScene, named_frame), (VolumePairScene, named_volumes))
-_OWN_NAMES: dict[type[Scene], str] = {  # kind of scene -> names that are easy to give, for messages
+_OWN_NAMES: dict[type[Scene], str] = {  # kind of scene -> simple file names to suggest in messages
     StereoScene: "NAME_L.* and NAME_R.*",
     RgbdScene: "NAME/color.* and NAME/depth.*",
 }
-_LEVELS = 2  # below the given folder, that scenes are looked for in: data sets, and scenes in them
-_MAX_ABOVE = 6  # folders above a file that its layout is looked for in: Driving, of the Scene Flow datasets, is deepest
-_MAX_RUN_BYTES = 1 << 20  # of it; all presets have below 10 kB
+_LEVELS = 2  # folder levels to search: data sets, then their scenes
+_MAX_ABOVE = 6  # parent folders to search for the layout of a file; Driving (Scene Flow datasets) is the deepest
+_MAX_RUN_BYTES = 1 << 20  # of a run file; all presets are below 10 kB
 
 Warn = Callable[[str], None]
 
 
 class NoScenesError(InputError):
-    """A folder without any scene of the wanted kinds."""
+    """Raised if a folder has no scene of the requested kinds."""
 
 
 def find_scenes(
@@ -50,22 +50,22 @@ def find_scenes(
     with_truth: bool = False,
     warn: Warn = lambda line: None,
 ) -> list[SceneT]:
-    """Return the scenes that the option ``input``, or the options for the files of a single scene, name.
+    """Return the scenes that ``input`` or the options for the files of a single scene name.
 
     Raises
     ------
     ConfigError
-        Neither or both are given, or an option that does not go with them.
+        If neither or both are given, or an option does not go with them.
     InputError
         As :func:`discover_scenes`.
 
     Parameters
     ----------
-    layouts : of the command's kind of scene: ``PAIRS``, ``FRAMES`` or ``VOLUMES``
+    layouts : layouts of the command's kind of scene: ``PAIRS``, ``FRAMES`` or ``VOLUMES``
     options : ``input``, ``name``, ``layout`` and the files of a single scene
     single : the options that name the files of a single scene, for messages
     patterns, warn : as for :func:`discover_scenes`
-    with_truth : the scenes are compared with their ground truth, which single files and tables have not
+    with_truth : whether ground truth is needed; single files and tables have none
     """
     place, name = options["input"], options["name"]
     if named := named_scenes(layouts.kind, options):
@@ -95,11 +95,10 @@ def find_scenes(
 
 
 def named_scenes(kind: type[Scene], options: Mapping[str, Any]) -> list[Scene]:
-    """Return the scenes of a kind whose files the options name; ConfigError where an option is missing.
+    """Return the scenes of a kind whose files the options name. Raise ConfigError if an option is missing.
 
-    These are the pair of ``left`` and ``right``, pairs of two patterns or folders, the frames of two videos; the frame
-    of ``color`` and ``depth``, or of the latter alone; the pair of ``fixed`` and ``warped``, or of ``moving`` with its
-    transform.
+    ``left`` and ``right`` name two images, patterns, folders or videos. ``depth``, with or without ``color``, names a
+    frame. ``fixed`` with ``warped``, or with ``moving`` and its transform, names a pair of volumes.
     """
     values = dict(options)
     for key, value in options.items():
@@ -114,7 +113,7 @@ def named_scenes(kind: type[Scene], options: Mapping[str, Any]) -> list[Scene]:
 def scenes_at(
     place: Path, layouts: Layouts[SceneT], layout: str | None, patterns: Sequence[str], warn: Warn
 ) -> list[SceneT]:
-    """Return the scenes of a folder as :func:`discover_scenes`, or those that a table of files lists."""
+    """Return the scenes in a table of files, or in a folder with :func:`discover_scenes`."""
     if not is_table(place):
         return cast(list[SceneT], discover_scenes(place, layouts, layout, patterns, warn))
     if not issubclass(StereoScene, layouts.kind):
@@ -129,19 +128,23 @@ def discover_scenes(
     patterns: Sequence[str] = ("*",),
     warn: Warn = lambda line: None,
 ) -> list[Scene]:
-    """Return the scenes of a folder or an archive, sorted by name; no image is opened.
+    """Return the scenes of a folder or an archive, sorted by name. No image is opened.
 
-    ``folder`` may be one scene, a folder of scenes, or a folder of such folders (names are then
-    ``<data set>/<scene>``). Folders without any are skipped, and so are folders of runs in it: their results are
-    no scenes. Runs of ``sample`` are, and ``folder`` itself may be a run (of ``rectify``). A scene that cannot be used
-    is listed with its ``problem``; InputError where ``folder`` itself is one, or there is none.
+    ``folder`` is one scene, a folder of scenes, or a folder of such folders (names are then ``<data set>/<scene>``).
+    Folders without scenes are skipped. Folders of runs inside are skipped, too, except runs of ``sample``. ``folder``
+    itself may be a run, e.g. of ``rectify``. Scenes that cannot be used are listed with their ``problem``.
+
+    Raises
+    ------
+    InputError
+        If ``folder`` has no scenes, or is itself a scene that cannot be used.
 
     Parameters
     ----------
-    layouts : those that are tried, such as ``PAIRS``
-    layout : name of a layout, or a YAML file of layouts; None recognizes it, for every folder by itself
-    patterns : shell patterns, one of which the name, or its last part, must match
-    warn : called with a line about folders of runs, and about scenes on other levels, which are not used
+    layouts : layouts to try, such as ``PAIRS``
+    layout : name of a layout, or a YAML file of layouts; None recognizes the layout of each folder
+    patterns : shell patterns; the name or its last part must match one of them
+    warn : called with a line about each skipped run, and about unused scenes on other levels
     """
     path = local(folder)
     if not os.path.isdir(path):
@@ -151,7 +154,7 @@ def discover_scenes(
     scenes: list[Scene] = []
     if rows:
         scenes = _find(path, rows, layout, warn)
-    if not scenes and (more := layouts.with_plugins()) != layouts:  # asked where no other fits
+    if not scenes and (more := layouts.with_plugins()) != layouts:  # plug-ins are loaded only if no other layout fits
         rows = more.rows if layout is None else _rows(more, layout)
         scenes = _find(path, rows, layout, warn)
     if not rows:
@@ -170,14 +173,14 @@ def discover_scenes(
 
 
 def _rows(layouts: Layouts[Any], name: str) -> Sequence[Layout]:
-    """Return the layout of a name, or a user's file of layouts for this kind of scene."""
+    """Return the layout with this name, or a YAML file's layouts of this kind of scene."""
     if name.endswith((".yaml", ".yml")):
         return [row for row in rows_in_file(Path(name)) if issubclass(row.kind, layouts.kind)]
     return [row for row in layouts.rows if row.name == name.lower().replace("_", "-")]
 
 
 def _find(path: Path, rows: Sequence[Layout], layout: str | None, warn: Warn) -> list[Scene]:
-    """Return the scenes of a folder, or of the folders in it; ``layout`` is the user's name."""
+    """Return the scenes of a folder, or of the folders in it; ``layout`` is the option's value."""
     folder = Folder(path, path.resolve().name, "", rows[0].name if layout and rows else "")
     scenes = _scenes_of(folder, rows)
     if not scenes:
@@ -195,9 +198,9 @@ def _find(path: Path, rows: Sequence[Layout], layout: str | None, warn: Warn) ->
 
 
 def _scenes_below(folder: Folder, rows: Sequence[Layout], warn: Warn, level: int = 1) -> list[Scene]:
-    """Return the scenes of the folders in a folder, and in these; tell of deeper ones, and of results of runs.
+    """Return the scenes up to two levels below a folder; warn about deeper scenes and skipped runs.
 
-    A folder that cannot be used is one scene with its problem, and spoils no other.
+    A folder that cannot be used becomes one scene with a problem.
     """
     scenes: list[Scene] = []
     for child in folder.folders:
@@ -223,7 +226,7 @@ def _scenes_below(folder: Folder, rows: Sequence[Layout], warn: Warn, level: int
 
 
 def _scenes_of(folder: Folder, rows: Sequence[Layout]) -> list[Scene]:
-    """Return the scenes of ``folder`` itself: one by its own files, or many as a KITTI root."""
+    """Return the scenes of ``folder`` itself: one, or many if it is e.g. a KITTI root."""
     by_layout = {}
     for row in rows:
         if scenes := row.scenes(folder):
@@ -234,7 +237,7 @@ def _scenes_of(folder: Folder, rows: Sequence[Layout]) -> list[Scene]:
 
 
 def _is_run(folder: Folder) -> bool:
-    """Return whether a folder has results of a run, other than of ``sample``."""
+    """Return whether a folder has results of a run of any command but ``sample``."""
     with contextlib.suppress(InputError):
         text = read_bytes(folder.path / RUN_FILE, _MAX_RUN_BYTES).decode("utf-8", "replace")
         command = re.search(r"^run:\n  command: (\S+)$", text, re.MULTILINE)
@@ -243,7 +246,7 @@ def _is_run(folder: Folder) -> bool:
 
 
 def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path | str) -> list[Scene]:
-    """Return the scenes whose name matches one of the patterns, sorted by name; frames know their sequence."""
+    """Return the scenes whose names match one of the patterns, sorted by name; stereo pairs get their sequences."""
     ordered = _with_sequences(scenes)
     chosen = [scene for scene in ordered if matches_any(scene.name, patterns)]
     for scene, after in pairwise(ordered):
@@ -259,10 +262,9 @@ def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path 
 
 
 def _with_sequences(scenes: Sequence[Scene]) -> list[Scene]:
-    """Return the scenes by name, of which stereo pairs know three frames of their sequence.
+    """Return the scenes sorted by name; stereo pairs get the first, middle and last frame of their sequence.
 
-    Pairs whose left and right images are in the same two folders, or which are frames of the same two videos, are a
-    sequence in the order of their names.
+    Pairs from the same two folders or the same two videos are a sequence, in the order of their names.
     """
     ordered = sorted(scenes, key=attrgetter("name"))
     frames: dict[tuple[str, str, bool], list[int]] = {}
@@ -270,7 +272,7 @@ def _with_sequences(scenes: Sequence[Scene]) -> list[Scene]:
         if isinstance(scene, StereoScene) and scene.right is not None and not scene.problem:
             left, right, of_video = str(scene.left), str(scene.right), scene.frame_number is not None
             if not of_video:
-                left, right = os.path.dirname(left), os.path.dirname(right)  # Path.parent takes long
+                left, right = os.path.dirname(left), os.path.dirname(right)  # faster than Path.parent
             frames.setdefault((left, right, of_video), []).append(index)
     with_sequences = list(ordered)
     for same in frames.values():
@@ -283,7 +285,10 @@ def _with_sequences(scenes: Sequence[Scene]) -> list[Scene]:
 
 
 def scenes_with_files(files: Iterable[Path], layouts: Layouts[Any]) -> dict[Path, Scene]:
-    """Return file -> the scene that it belongs to by the layout of its folder or of one above it (KITTI), if any."""
+    """Return file -> its scene, by the layout of the file's folder or of a parent folder (KITTI).
+
+    Files without a scene are left out.
+    """
     rows = layouts.with_plugins().rows
     by_folder: dict[Path, dict[Path, Scene]] = {}
     scene_of: dict[Path, Scene] = {}
@@ -295,7 +300,7 @@ def scenes_with_files(files: Iterable[Path], layouts: Layouts[Any]) -> dict[Path
                 folder = Folder(place, place.name, "")
                 with contextlib.suppress(InputError):
                     inside = [scene for row in rows for scene in row.scenes(folder)]
-                    for scene in reversed(inside):  # of two scenes with one file, the first
+                    for scene in reversed(inside):  # the first of two scenes with the same file wins
                         by_folder[place] |= {value: scene for value in vars(scene).values() if isinstance(value, Path)}
             if path in by_folder[place]:
                 scene_of[file] = by_folder[place][path]

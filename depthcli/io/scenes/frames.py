@@ -1,4 +1,4 @@
-"""Layouts of frames of color and depth, and the frame that the options of a command name."""
+"""Layouts of RGB-D frames, and the frame that a command's options name."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from depthcli.io.scenes.rows import (
     name_of_file,
 )
 
-_TUM_SCALE = 5000.0  # codes a meter, of the benchmark's files
-_TUM_DELAY = 0.02  # seconds, as the benchmark's associate.py
-_GENERIC_NAMES = ("color", "rgb", "image", "depth")  # of files, which name no frame
+_TUM_SCALE = 5000.0  # codes per meter in the benchmark's files
+_TUM_DELAY = 0.02  # seconds, as in the benchmark's associate.py
+_GENERIC_NAMES = ("color", "rgb", "image", "depth")  # file names that do not identify a frame
 
 
 def cameras(meta: Meta) -> dict[str, Any]:
     """Return both cameras of meta.json as fields of the scene.
 
-    ``intrinsics`` belong to the color camera, at the root of the file or below that key.
+    The color camera's intrinsics are at the root of the file or below the key ``intrinsics``.
     """
     return {
         "intrinsics": _intrinsics(meta, "intrinsics", meta.fields),
@@ -43,11 +43,11 @@ def cameras(meta: Meta) -> dict[str, Any]:
 
 
 def _intrinsics(meta: Meta, name: str, default: dict[str, Any]) -> tuple[float, ...] | None:
-    """fx, fy, cx, cy below the key ``name``, or in ``default``."""
+    """Return fx, fy, cx, cy below the key ``name``, or in ``default``."""
     inner = meta.fields.get(name, default)
     if not isinstance(inner, dict):
         raise meta.error(name, "fx, fy, cx, cy")
-    place = f"{name}: " if name in meta.fields else ""  # messages tell both cameras apart
+    place = f"{name}: " if name in meta.fields else ""  # messages name the camera
     named = Meta(meta.path, {f"{place}{key}": value for key, value in inner.items()})
     values = [named.positive(f"{place}{key}") for key in ("fx", "fy", "cx", "cy")]
     known = tuple(value for value in values if value is not None)
@@ -70,7 +70,7 @@ def _depth_to_color(meta: Meta) -> Place | None:
 
 
 def _meta(folder: Folder) -> dict[str, Any]:
-    """Return the facts of ``meta.json``."""
+    """Return the scene fields from ``meta.json``."""
     meta = folder.meta
     scale = meta.positive("depth_scale")
     facts = {"fb": meta.positive("fb"), "pose": meta.pose(), "protocol": meta.text("protocol", "depth")}
@@ -80,7 +80,7 @@ def _meta(folder: Folder) -> dict[str, Any]:
 
 def _frame(found: Found) -> dict[str, Any] | None:
     if "depth" not in found.files and any(name.startswith("disparity") for name in found.folder.names):
-        return None  # of kinect-raw
+        return None  # a frame of the layout kinect-raw
     return _meta(found.folder)
 
 
@@ -90,12 +90,12 @@ def _numbered(found: Found) -> dict[str, Any]:
 
 
 def _in_order(number: str) -> int:
-    """Return the number of a frame; of one with a time, the microseconds."""
+    """Return a frame's number, or its time in microseconds."""
     return int(number) if number.isdigit() else round(float(number) * 1e6)
 
 
 def _named(found: Found) -> dict[str, Any]:
-    """Return the facts of a frame in folders of frames; names that are numbers belong to a sequence."""
+    """Return the scene fields of a frame in folders of frames; frames with numbers as names form a sequence."""
     number = re.fullmatch(rf"(?:frame[-_]?)?({NUMBER})", found.keys["name"])
     place = {"sequence": found.folder.name, "number": _in_order(number[1])} if number else {}
     return _meta(found.folder) | {"pose": None} | place
@@ -108,7 +108,7 @@ def _sun(found: Found) -> dict[str, Any]:
 
 
 def _matrix(path: Path) -> tuple[float, ...]:
-    """Return fx, fy, cx, cy of a file with a camera matrix, 3 x 3 or 4 x 4."""
+    """Return fx, fy, cx, cy from a file with a 3 x 3 or 4 x 4 camera matrix."""
     text = text_of(read_bytes(path))
     with naming(path):
         values = numbers(text, "the camera matrix")
@@ -119,7 +119,7 @@ def _matrix(path: Path) -> tuple[float, ...]:
 
 
 class _Sequence(LayoutRow):
-    """Frames with numbers, whose poses may be in one file."""
+    """Numbered frames; one file may have all poses."""
 
     def scenes(self, folder: Folder) -> list[Scene]:
         frames = [scene for scene in super().scenes(folder) if isinstance(scene, RgbdScene)]
@@ -130,7 +130,7 @@ class _Sequence(LayoutRow):
 
 
 class _Scannet(LayoutRow):
-    """Frames whose depth is registered by the matrices of both cameras."""
+    """Frames whose depth is registered with the matrices of both cameras."""
 
     def scenes(self, folder: Folder) -> list[Scene]:
         frames = super().scenes(folder)
@@ -140,7 +140,7 @@ class _Scannet(LayoutRow):
 
 
 class _Sun(LayoutRow):
-    """Frames that are known by their camera's file, since ``image`` and ``depth`` are names of other sets, too."""
+    """Frames recognized by the camera's file, since other data sets have folders ``image`` and ``depth``, too."""
 
     def scenes(self, folder: Folder) -> list[Scene]:
         known = folder.has("image", "depth", "intrinsics.txt") or folder.requested == self.name
@@ -148,7 +148,7 @@ class _Sun(LayoutRow):
 
 
 class Tum(Layout):
-    """Sequences of the TUM RGB-D benchmark: images with a time, paired by a table or by the nearest time."""
+    """Sequences of the TUM RGB-D benchmark: images with times, paired by a table or by the nearest time."""
 
     name = "tum"
     kind = RgbdScene
@@ -290,7 +290,7 @@ FRAMES = Layouts.of(
 
 
 def named_frame(values: Mapping[str, Any]) -> list[Scene]:
-    """Return the frame of the options ``color`` and ``depth``, or of the latter alone; none without them."""
+    """Return the frame that the options ``depth`` and, if given, ``color`` name; an empty list without them."""
     color, depth = values.get("color"), values.get("depth")
     if depth is None and color is not None:
         raise ConfigError("--color needs --depth, too")

@@ -1,4 +1,4 @@
-"""Layouts of stereo pairs, and the pairs whose files a command line, two patterns, videos or a table name."""
+"""Layouts of stereo pairs, and pairs from a command line, two patterns, two videos or a table of files."""
 
 from __future__ import annotations
 
@@ -38,23 +38,23 @@ from depthcli.io.scenes.rows import (
 )
 
 STDIN = Path("-")
-"""In place of a table: the standard input."""
+"""The table's path for standard input."""
 
-_KITTI_RANGE = 255  # the largest disparity in a file of KITTI: the frames come without a range of their own
-_SCENE_FLOW_RANGE = 192  # of the evaluations in the literature; the files have larger ones, too
+_KITTI_RANGE = 255  # largest disparity that KITTI's files can encode; the frames have no range of their own
+_SCENE_FLOW_RANGE = 192  # as evaluations in the literature; the files have larger disparities, too
 
-# Scale of the ground truth and search range of the data sets of the taxonomy paper, which come without a
-# file that says them (vision.middlebury.edu/stereo/data/scenes2001, scenes2003).
+# Ground truth scale and search range of the taxonomy paper's data sets, whose files do not contain them
+# (vision.middlebury.edu/stereo/data/scenes2001, scenes2003).
 _MIDDLEBURY_FACTS: dict[str, tuple[float, int]] = {
     "tsukuba": (16, 15), "venus": (8, 19), "teddy": (4, 59), "cones": (4, 59), "sawtooth": (8, 19), "bull": (8, 20),
     "poster": (8, 20), "barn1": (8, 19), "barn2": (8, 19),
 }  # fmt: skip
-_SINTEL_PIXELS = (4.0, 2.0**-6, 2.0**-14)  # of a code of the red, green and blue channel
-_MANY_VIEWS = ("rig_calibration", "dslr_calibration")  # beginnings of the folders next to ``images`` of ETH3D
+_SINTEL_PIXELS = (4.0, 2.0**-6, 2.0**-14)  # pixels per code of the red, green and blue channel
+_MANY_VIEWS = ("rig_calibration", "dslr_calibration")  # prefixes of the folders next to ``images`` in ETH3D
 
 
 def _meta(found: Found) -> dict[str, Any]:
-    """Return the facts of ``meta.json``."""
+    """Return the scene fields from ``meta.json``."""
     meta = found.folder.meta
     return {
         "protocol": meta.text("protocol", "middlebury_v2"),
@@ -93,7 +93,7 @@ def _middlebury_v3(found: Found) -> dict[str, Any]:
 
 
 class _Eth3d(LayoutRow):
-    """As Middlebury v3; the truth may be in a folder next to the scenes' folder."""
+    """ETH3D: like Middlebury v3, but the ground truth may be in a folder next to the scenes' folder."""
 
     def scenes(self, folder: Folder) -> list[Scene]:
         if "images" in folder.names and any(name.startswith(_MANY_VIEWS) for name in folder.names):
@@ -117,13 +117,13 @@ class _Eth3d(LayoutRow):
 
 
 def _decode_scene_flow(file: Path, scale: float | None) -> NDArray[np.float32]:
-    """Return disparities, which are negative in the subset of FlyingThings3D for DispNet."""
+    """Return positive disparities; FlyingThings3D's subset for DispNet has negative ones."""
     disparity = read_disparity(file, scale)
     return -disparity if np.count_nonzero(disparity < 0) > np.count_nonzero(disparity > 0) else disparity
 
 
 def _decode_sintel(file: Path, scale: float | None) -> NDArray[np.float32]:
-    """Return disparities that are packed into three channels of 8 bit."""
+    """Return the disparities that Sintel packs into three 8-bit channels; black is unknown."""
     codes = read_image(file)
     if codes.ndim != 3 or codes.dtype != np.uint8:
         raise InputError(f"{file}: expected disparities packed into three channels of 8 bit")
@@ -138,12 +138,12 @@ def _decode_booster(file: Path, scale: float | None) -> NDArray[np.float32]:
 
 
 def _decode_depth(file: Path, scale: float | None, fb: float) -> NDArray[np.float32]:
-    """Return the disparities of a map of depths, for focal length x baseline in pixels and the unit of the map."""
+    """Return the disparities of a depth map; ``fb`` is focal length x baseline in pixels x the map's unit."""
     return disparity_of_depth(read_plane(file).astype(np.float32), fb)
 
 
 def _falling_things(found: Found) -> dict[str, Any]:
-    """Return the cameras of a scene, and how its codes, 10000 a meter, become disparities."""
+    """Return the cameras of a scene, and the function that decodes its depths (10000 codes per meter)."""
     with naming(file := found.folder.path / _FALLING_THINGS):
         settings = json_object(read_bytes(file, _MAX_SETTINGS)).get("camera_settings")
         first = settings[0] if isinstance(settings, list) and settings and isinstance(settings[0], dict) else {}
@@ -168,16 +168,16 @@ def _scene_flow(found: Found) -> dict[str, Any]:
 
 def _driving_stereo(found: Found) -> dict[str, Any]:
     scale = 128.0 if found.files["left"].parent.name == "left-image-full-size" else 256.0
-    return {"disparity_scale": scale, "max_disparity": int(65535 / scale)}  # the largest in a file
+    return {"disparity_scale": scale, "max_disparity": int(65535 / scale)}  # the largest that a file can encode
 
 
 def _pairs(found: Found) -> dict[str, Any] | None:
-    """Return the facts of pairs side by side, except for files that only scenes and runs have."""
+    """Return the scene fields of a pair, or None for names of maps and masks."""
     return None if found.keys["name"].startswith(("disp", "mask", "confidence")) else _meta(found)
 
 
 def _variants(files: Mapping[str, str], *words: tuple[str, ...]) -> tuple[dict[str, str], ...]:
-    """Return the variants of a row: ``<0>`` and ``<1>`` in its file names are the words of each."""
+    """Return one variant of ``files`` per tuple of words, which replace ``<0>``, ``<1>`` ... in the file names."""
 
     def filled(name: str, chosen: tuple[str, ...]) -> str:
         for number, word in enumerate(chosen):
@@ -196,13 +196,13 @@ _KITTI_FILES = {
     "left": "<0>/{frame}_10.png", "right": "<1>/{frame}_10.png", "disparity_left": "disp_occ/{frame}_10.png",
     "disparity_noc": "disp_noc/{frame}_10.png", "calibration": "calib/{frame}.txt", "name": "{frame}_10",
 }  # fmt: skip
-# The cameras of TartanAir (data_type.md of its tools), pixels and meters; codes and baseline of Falling Things
-# (readme of its authors), per meter and in meters.
+# Cameras of TartanAir, pixels and meters (data_type.md of its tools). Codes per meter and baseline in meters of Falling
+# Things (its authors' readme).
 _TARTAN_AIR = PairGeometry(Intrinsics(320.0, 320.0, 320.0, 240.0), 0.25, 0.0, (640, 480))
 _FALLING_THINGS, _FALLING_THINGS_CODES, _FALLING_THINGS_BASELINE = "_camera_settings.json", 10_000, 0.06
-_MAX_SETTINGS = 1 << 20  # bytes of the file of settings
+_MAX_SETTINGS = 1 << 20  # bytes of the settings file
 _ARGOVERSE = (
-    "rectified_stereo_images_v1.1/{{path}}/stereo_front_{0}_rect/stereo_front_{0}_rect_{{frame}}.jpg"  # of both sides
+    "rectified_stereo_images_v1.1/{{path}}/stereo_front_{0}_rect/stereo_front_{0}_rect_{{frame}}.jpg"  # for both sides
 )
 _SIDES = (("L", "R", "_"), ("l", "r", "_"), ("left", "right", "_"), ("left", "right", "-"), ("Left", "Right", "_"))
 _DRIVING_CALIB = "<0>-image-calib/{sequence}.txt"
@@ -388,16 +388,16 @@ PAIRS = Layouts.of(
 
 
 _TABLE_SUFFIXES = (".csv", ".tsv")
-_MAX_BYTES = 1 << 28  # of a table
+_MAX_BYTES = 1 << 28  # largest table
 _COLUMNS = ("left", "right", "name", "calibration", "max_disparity", "min_disparity")
 _WILD = re.compile(r"[*?\[]")
-_GENERIC_NAMES = ("left", "im0", "im2", "iml", "view0", "view1", "image_0", "image_2", "colored_0")  # name no scene
-_MAX_RATE_DIFFERENCE = 0.005  # of the frames a second of two videos; 30000/1001 and 30 differ by 0.001
-_MAX_FOLDERS = 8  # that are looked at for two whose images belong together
+_GENERIC_NAMES = ("left", "im0", "im2", "iml", "view0", "view1", "image_0", "image_2", "colored_0")  # identify no scene
+_MAX_RATE_DIFFERENCE = 0.005  # largest relative difference of two frame rates; 30000/1001 and 30 differ by 0.001
+_MAX_FOLDERS = 8  # folders to search for two with matching images
 
 
 def _of_patterns(found: Found) -> dict[str, Any]:
-    """Return the folder of a pair of two patterns; with one image alone, the problem of that."""
+    """Return the folder of a pair from two patterns, and a problem if one image is missing."""
     file = found.files.get("left") or found.files["right"]
     if len(found.files) == 2:
         return {"folder": file.parent}
@@ -412,8 +412,8 @@ def _last_number(match: Match) -> str:
 
 _NAMED = LayoutRow(
     title="", wants="files that the command line names", facts=_of_patterns, either=True,
-    # Names are the same where the patterns have wildcards, but for words that say the view, as in left_0001 and
-    # right_0001; else the whole names are; else their last numbers are.
+    # Images match if the texts of the wildcards are equal without the words for left and right, as in left_0001 and
+    # right_0001. If no images match, whole paths are compared in the same way, and then their last numbers.
     alike=(
         lambda match: without_word(match.captured, SIDES), lambda match: without_word(match.path, SIDES), _last_number,
     ),
@@ -421,7 +421,7 @@ _NAMED = LayoutRow(
 
 
 def named_pairs(values: Mapping[str, Any]) -> list[Scene]:
-    """Return the pairs of the options ``left`` and ``right``: of two images, patterns, folders or videos."""
+    """Return the pairs that ``left`` and ``right`` name: two images, patterns, folders or videos."""
     left, right = values.get("left"), values.get("right")
     halves = values.get("halves")
     if halves is not None and halves not in (LEFT_RIGHT, TOP_BOTTOM):
@@ -485,19 +485,19 @@ def _both_in_one(path: Path, halves: str) -> list[Scene]:
 
 
 def _named(name: str, left: Path, right: Path, **values: Any) -> StereoScene:
-    """Return the pair of two files, whether they are there or not."""
+    """Return the pair of two files, which need not exist."""
     return cast(StereoScene, _NAMED.scene(Folder(left.parent, name, ""), left=left, right=right, **values))
 
 
 def _is_many(path: Path) -> bool:
-    """Return whether a path is a pattern or a folder: more than one file."""
+    """Return whether a path is a pattern or a folder."""
     return os.path.isdir(path) or (bool(_WILD.search(str(path))) and not os.path.lexists(path))
 
 
 def pairs_of_patterns(left: Path, right: Path) -> list[StereoScene]:
     """Return the pairs of two patterns such as ``left/*.png`` and ``right/*.png``, or of two folders.
 
-    An image without a partner is a pair with a problem. ConfigError where no two images belong together.
+    An image without a partner is a pair with a problem. Raise ConfigError if no two images match.
     """
     here = Folder(Path(), "", "")
     names = [str(path / "*" if os.path.isdir(path) else path) for path in (left, right)]
@@ -514,14 +514,14 @@ def pairs_of_patterns(left: Path, right: Path) -> list[StereoScene]:
 
 
 def suggested_patterns(folder: Path) -> tuple[str, str] | None:
-    """Return patterns of two folders in a folder whose images belong together by their names; None without such."""
+    """Return patterns for two folders in ``folder`` whose images match by name, or None if there are none."""
     places = sorted(Path(folder, name) for name in os.listdir(folder) if name[0] != ".")
     for both in itertools.combinations([place for place in places if os.path.isdir(place)][:_MAX_FOLDERS], 2):
         try:
             pairs = [scene for scene in pairs_of_patterns(*both) if not scene.problem]
         except (ConfigError, InputError):
             continue
-        # Two images in each of two folders are two pairs as likely as two folders of views.
+        # With two images in each folder, each folder may just as well be a pair.
         if len(pairs) not in (0, 2):
             suffixes = []
             for place in both:
@@ -532,19 +532,18 @@ def suggested_patterns(folder: Path) -> tuple[str, str] | None:
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a path names a table of pairs: a file with its ending, or ``-``, the standard input."""
+    """Return whether a path names a table of pairs: a CSV or TSV file, or ``-`` for standard input."""
     return path == STDIN or (os.path.isfile(path) and path.suffix.lower() in _TABLE_SUFFIXES)
 
 
 def scenes_of_table(path: Path) -> list[StereoScene]:
-    """Return the pairs of a CSV (or tab-separated) file with one line per pair, paths relative to the file's folder.
+    """Return the pairs of a CSV or tab-separated file with one pair per line.
 
-    ``-`` is the standard input, whose paths are relative to the current folder.
+    Paths are relative to the file's folder, or to the current folder if the table is standard input (``-``).
 
-    A first line with ``left`` and ``right`` names the columns, of which also ``name``, ``calibration``,
-    ``max_disparity`` and ``min_disparity`` are known; without it the first two are left and right, the third is the
-    name. Lines that begin with ``#`` are passed over. Without a name, it is the left file's, or the line's number
-    where those repeat.
+    A first line with ``left`` and ``right`` names the columns; ``name``, ``calibration``, ``max_disparity`` and
+    ``min_disparity`` are optional. Without such a line, the columns are left, right and name. Lines that begin with
+    ``#`` are comments. The default name is the left file's, preceded by the line's number if names repeat.
     """
     with naming("standard input" if path == STDIN else path):
         data = sys.stdin.buffer.read() if path == STDIN else read_bytes(path, _MAX_BYTES)
@@ -573,7 +572,7 @@ def scenes_of_table(path: Path) -> list[StereoScene]:
 
 
 def _pair_of_line(folder: Path, name: str, line: Mapping[str, str]) -> StereoScene:
-    """Return the pair of a line of a table in ``folder``; a range that is no number is its problem."""
+    """Return the pair of a table's line; an invalid search range becomes its problem. Paths are below ``folder``."""
     left, values = folder / line["left"], dict[str, Any]()
     for key in {"max_disparity", "min_disparity"} & line.keys():
         if re.fullmatch(r"[-+]?[0-9]{1,7}", line[key]) and abs(int(line[key])) <= MAX_DISPARITY:
@@ -587,7 +586,7 @@ def _pair_of_line(folder: Path, name: str, line: Mapping[str, str]) -> StereoSce
 
 
 def _names_of(lines: Sequence[Mapping[str, str]]) -> list[str]:
-    """Return the names of pairs: their own, else their left files', with their numbers where those repeat."""
+    """Return the pairs' names; the default is the left file's, preceded by the line's number if names repeat."""
     names = [line.get("name") or Path(without_secrets(line["left"])).stem for line in lines]
     if len(set(names)) == len(names):
         return names

@@ -1,4 +1,4 @@
-"""Inputs that are no folders: archives and URLs are fetched and unpacked once, into the user's cache.
+"""Archives and URLs as inputs: each is fetched and unpacked once, into the user's cache.
 
 The folder ``depthcli/inputs`` of the cache (``XDG_CACHE_HOME``, usually ``~/.cache``) may be deleted at any time.
 ``scenes.zip/planes/left.png`` names a file in an archive.
@@ -27,28 +27,29 @@ from depthcli.core.errors import InputError
 from depthcli.core.text import without_secrets
 from depthcli.io.formats.files import collected_warnings, naming, warn
 
-# A URL may have a query behind its ending, such as the signature of a store.
+# A query may follow the ending of a URL, e.g. a signature.
 _ARCHIVE = re.compile(
     r"\.(?:zip|tar|tar\.(?:gz|bz2|xz)|tgz|tbz2|txz)(?:\?[^/]*=(?:.*&[^/]*=)?[^/]*)?(?=/|$)", re.IGNORECASE
 )
-_URL = re.compile(r"(?:^|/)([a-z][a-z0-9+.-]+):/+(.+)", re.IGNORECASE)  # pathlib leaves one slash of the two
+_URL = re.compile(r"(?:^|/)([a-z][a-z0-9+.-]+):/+(.+)", re.IGNORECASE)  # pathlib merges the two slashes
 
 _MAX_MEMBERS = 1 << 20
-_MAX_HEADER = 1 << 20  # bytes of one of these
-_MAX_RATE, _ALWAYS_BYTES = 200, 1 << 30  # no archive of images unpacks to so much, but small ones of masks do
-_CONNECT_SECONDS, _READ_SECONDS = 15, 60  # of a server that does not answer
-_LEFTOVER_SECONDS = 86400  # age of what killed processes of other machines left
-_MAX_CACHE_BYTES, _MIN_AGE = 50 << 30, 7 * 86400  # of all inputs together; seconds since the use of one that is deleted
-# Files beside a folder of the cache: where it comes from, and what was warned of when it was made.
+_MAX_HEADER = 1 << 20  # bytes of a member in _HEADERS
+# Image archives never expand by this factor; small mask archives can, so that the second limit applies to them.
+_MAX_RATE, _ALWAYS_BYTES = 200, 1 << 30
+_CONNECT_SECONDS, _READ_SECONDS = 15, 60  # timeouts
+_LEFTOVER_SECONDS = 86400  # age at which leftovers of processes on other machines are deleted
+_MAX_CACHE_BYTES, _MIN_AGE = 50 << 30, 7 * 86400  # size of the cache; seconds since last use before deletion
+# Suffixes of files next to a cached folder: its source, and the warnings of its creation.
 _ORIGIN, _WARNINGS = ".origin", ".warnings"
-# Members of a tar file that are read into memory whole: long names and the like of the member behind.
+# Tar members that are read into memory as a whole, e.g. the long name of the next member.
 _HEADERS = (b"L", b"K", b"x", b"g", b"X")
 
 
 def local(place: Path | str) -> Path:
-    """Return the folder or file that a place names: itself or, of an archive or a URL, what was fetched and unpacked.
+    """Return the local folder or file of a place; archives and URLs are fetched and unpacked.
 
-    An archive means its content, or the single folder that has all of it.
+    An archive stands for its content, or for its single top folder.
     """
     path, text, url = Path(place), str(place), ""
     if os.path.isdir(path) or (os.path.exists(path) and not is_archive(path)):
@@ -65,13 +66,13 @@ def local(place: Path | str) -> Path:
 
 
 def is_archive(path: Path) -> bool:
-    """Return whether a path names an archive, by its ending."""
+    """Return whether a path is a file with the ending of an archive."""
     found = _ARCHIVE.search(path.name)
     return found is not None and os.path.isfile(path)
 
 
 def origin(path: Path) -> str:
-    """Return a path or, of one in the cache, that in the archive or URL that it was made from, without secrets."""
+    """Return a path without secrets; a path in the cache becomes the path in its archive or URL."""
     root, real = Path(os.path.realpath(_root())), Path(os.path.realpath(path))
     if not path.is_absolute() or not real.is_relative_to(root):
         return without_secrets(str(path))
@@ -88,7 +89,7 @@ def _stem(name: str) -> str:
 
 
 def _entered(folder: Path) -> Path:
-    """Return the single folder with all of an unpacked archive, or the folder (or file) itself."""
+    """Return the only folder in ``folder`` if it has nothing else, or ``folder`` (possibly a file) itself."""
     inside = [path for path in folder.iterdir() if path.name[0] != "."] if folder.is_dir() else []
     return inside[0] if len(inside) == 1 and inside[0].is_dir() else folder
 
@@ -98,9 +99,9 @@ def _root() -> Path:
 
 
 def _cached(key: object, name: str, source: str, make: Callable[[Path], None]) -> Path:
-    """Return the folder or file ``name`` that ``make`` makes where no earlier call with this key did.
+    """Return the folder or file ``name`` of the key; ``make`` creates it if it is not in the cache.
 
-    What was warned of when it was made is warned of by every call.
+    Every call repeats the warnings of its creation.
     """
     folder = _root() / hashlib.sha256(repr(key).encode("utf-8", "surrogateescape")).hexdigest()[:20]
     if not folder.is_dir():
@@ -116,10 +117,10 @@ def _cached(key: object, name: str, source: str, make: Callable[[Path], None]) -
             try:
                 os.rename(made, folder)
             except OSError:
-                if not folder.is_dir():  # else another process was faster
+                if not folder.is_dir():  # if it exists, another process was faster
                     raise
     with contextlib.suppress(OSError):
-        os.utime(folder)  # it is in use
+        os.utime(folder)  # mark it as used
     with contextlib.suppress(OSError):
         for line in Path(folder, name + _WARNINGS).read_text("utf-8", "surrogateescape").splitlines():
             warn(line)
@@ -127,7 +128,7 @@ def _cached(key: object, name: str, source: str, make: Callable[[Path], None]) -
 
 
 def _clean(root: Path) -> None:
-    """Delete what killed processes left in the cache, and inputs not used for long that are too much for its limit."""
+    """Delete leftovers of killed processes from the cache and, above its size limit, inputs unused for long."""
     here, now = f".{socket.gethostname()[:60]}.", time.time()
     for old in root.glob(".*"):
         with contextlib.suppress(OSError):
@@ -148,9 +149,9 @@ def _clean(root: Path) -> None:
 
 
 def _is_running(pid: int) -> bool:
-    """Return whether a process of this machine runs; True where that cannot be known."""
+    """Return whether a process of this machine runs, or True if that is unknown."""
     try:
-        if os.name != "nt":  # where the signal 0 would end it
+        if os.name != "nt":  # signal 0 would end a process on Windows
             os.kill(pid, 0)
     except ProcessLookupError:
         return False
@@ -161,13 +162,13 @@ def _is_running(pid: int) -> bool:
 
 @contextlib.contextmanager
 def _one_line(place: str) -> Iterator[None]:
-    """Make an InputError of one line of what libraries raise, which are many kinds of errors."""
+    """Turn the many kinds of errors that libraries raise into an InputError of one line."""
     try:
         with naming(place):
             yield
     except InputError:
         raise
-    except FileNotFoundError as error:  # which libraries say of any failure to ask a server for a file
+    except FileNotFoundError as error:  # raised for any failure of a server
         cause = error.__cause__
         is_missing = cause is None or isinstance(cause, FileNotFoundError) or getattr(cause, "status", 0) in (404, 410)
         words = "no such file" if is_missing else f"the server failed ({' '.join(str(cause).split())[:160]})"
@@ -185,7 +186,7 @@ def _unpacked(archive: Path) -> Path:
 
 
 def _unpack(archive: Path, target: Path) -> None:
-    """Write the regular files of an archive below ``target``; others, and names that lead out of it, are left out."""
+    """Unpack the regular files of an archive below ``target``, except names that lead out of the archive."""
     target.mkdir()
     packed, total, left_out = archive.stat().st_size, 0, []
     limit = min(max(_ALWAYS_BYTES, _MAX_RATE * packed), shutil.disk_usage(target).free)
@@ -209,14 +210,14 @@ def _unpack(archive: Path, target: Path) -> None:
 
 
 def _inside(name: str) -> str | None:
-    """Return a path within an archive; None where it could lead out of it."""
+    """Return a member's path in the archive, or None if it could lead out of it."""
     parts = [part for part in name.replace("\\", "/").split("/") if part not in ("", ".")]
     unsafe = not parts or ".." in parts or name[:1] in "/\\" or parts[0][1:2] == ":" or "\0" in name
     return None if unsafe else "/".join(parts)
 
 
 _Members = Iterator[tuple[str, int, Callable[[], Any] | None]]
-"""Name, size, and what opens it, of all members but folders; the latter None where it is no regular file."""
+"""Name, size and opening function of each member except folders; the function is None if it is no regular file."""
 
 
 def _zip_members(archive: Path) -> _Members:
@@ -228,7 +229,7 @@ def _zip_members(archive: Path) -> _Members:
 
 
 class _TarMember(tarfile.TarInfo):
-    """A member whose header announces no size that the module would take at its word."""
+    """A member that raises ReadError for unreasonable sizes, which the module would trust."""
 
     @classmethod
     def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
@@ -246,13 +247,13 @@ def _tar_members(archive: Path) -> _Members:
         packed: Any = tar.fileobj
         packed.seek(tar.offset)
         if (block := packed.read(tarfile.BLOCKSIZE)).strip(b"\0") or len(block) < tarfile.BLOCKSIZE:
-            raise tarfile.ReadError("cut short or damaged")  # which the module takes for the end
-        while packed.read(1 << 20):  # to the checksum at the end
+            raise tarfile.ReadError("cut short or damaged")  # the module takes this for the end of the file
+        while packed.read(1 << 20):  # read up to the checksum, which is verified there
             pass
 
 
 def _fetched(url: str) -> Path:
-    """Return the file or folder of a URL, unpacked where it is an archive."""
+    """Return the local file or folder of a URL; an archive is unpacked."""
     shown = without_secrets(url)
     with _one_line(shown):
         system, place = _system(url)
@@ -283,7 +284,7 @@ def _fetched(url: str) -> Path:
 
 
 def _files_below(system: Any, place: str) -> dict[str, str]:
-    """Return file -> path in the folder at ``place``, but for names that lead out of it."""
+    """Return file -> relative path, for the files below ``place`` except names that lead out of it."""
     own = system._strip_protocol(place).rstrip("/")
     names = [name for name in system.find(f"{place.rstrip('/')}/") if name.startswith(own)]
     if len(names) > _MAX_MEMBERS:

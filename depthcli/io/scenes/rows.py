@@ -1,11 +1,11 @@
 """Layouts of scenes: rows of file names with placeholders, and classes that look into folders themselves.
 
-``image_2/{frame}_10.png`` names the left images of KITTI, and ``image_3/{frame}_10.png`` the right one of the same
-frame. Placeholders match a part of a name, ``{number}`` digits or a time, ``{_}`` anything that the other files do not
-have to repeat, and ``{path}`` any folders between; ``.*`` at the end means the endings of the role's kind of file,
-and ``|`` separates names that are tried in turn. A row without placeholders describes one scene, the folder itself.
+``image_2/{frame}_10.png`` names the left images of KITTI, and ``image_3/{frame}_10.png`` the right image of the same
+frame. A placeholder matches a part of a name: ``{number}`` matches digits or a time, ``{_}`` any text that the other
+files need not repeat, and ``{path}`` any folders between. ``.*`` at the end stands for the endings that the role
+allows, and ``|`` separates alternatives, tried in turn. A row without placeholders describes the folder as one scene.
 
-The names of a row with ``alike`` are paths with the wildcards of a shell, as users type them.
+The names of a row with ``alike`` are paths with shell wildcards, as users type them.
 """
 
 from __future__ import annotations
@@ -37,27 +37,27 @@ from depthcli.io.scenes.kinds import RgbdScene, Scene, StereoScene
 SceneT = TypeVar("SceneT", bound=Scene)
 
 NUMBER = r"\d{9,}\.\d+|\d+"
-"""Number of a frame: digits, or the time in seconds, of which the fraction is no number."""
+"""Pattern of a frame's number: digits, or a time in seconds with its fraction."""
 
 _DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".pfm", ".npy", ".exr")
-_MAX_POSITIVE, _MAX_WHOLE = 1e6, 1 << 20  # numbers of meta.json; no image is as wide
+_MAX_POSITIVE, _MAX_WHOLE = 1e6, 1 << 20  # limits of numbers in meta.json; no image is as wide
 _PLACEHOLDER = re.compile(r"\{(\w+)\}")
 _WILDCARD = re.compile(r"(\*+|\?|\[[^\]]+\])")
-_MASK = "mask."  # before the name of a mask in a role
-_MASKS = "masks"  # role of all masks, whose names are ``{mask}``
-_OWN_FIELDS = ("folder", "layout", "problem")  # of scenes, which no file of layouts has
+_MASK = "mask."  # prefix of the role of one mask
+_MASKS = "masks"  # role of all masks; ``{mask}`` is the name
+_OWN_FIELDS = ("folder", "layout", "problem")  # scene fields that a user's layout cannot set
 _VIEWS = {StereoScene: ("left", "right"), RgbdScene: ("color", "depth")}
 
 Texts = dict[str, str]
-"""Placeholder -> its text in a path; of a pattern, the number of a part of the path -> the text of its wildcards."""
-_Key = tuple[tuple[str, str], ...]  # the same, as pairs
+"""Placeholder -> its text in a path. For wildcards: index of a path's part -> text of its wildcards."""
+_Key = tuple[tuple[str, str], ...]  # items of Texts
 
 
 @dataclass(eq=False)
 class Folder:
-    """One folder as a layout sees it: names only, which are read when they are first asked for.
+    """The names in a folder, for layouts; they are read at first use.
 
-    ``name`` is the name of a scene that is the folder itself. ``prefix`` begins the names of the scenes inside.
+    ``name`` is the scene's name if the folder itself is a scene. ``prefix`` begins the names of scenes inside.
     ``requested`` is the layout that the user named, or empty.
     """
 
@@ -69,7 +69,7 @@ class Folder:
 
     @cached_property
     def _is_folder(self) -> dict[str, bool]:
-        """Name -> whether it is a folder; InputError where the folder cannot be read."""
+        """Name -> whether it is a folder. Raise InputError if the folder cannot be read."""
         is_folder = {}
         try:
             with naming(self.path), os.scandir(self.path) as entries:
@@ -84,22 +84,22 @@ class Folder:
 
     @cached_property
     def names(self) -> frozenset[str]:
-        """The names in the folder, but for hidden ones."""
+        """The names in the folder, without hidden ones."""
         return frozenset(self._is_folder)
 
     @cached_property
     def folders(self) -> list[str]:
-        """The names of the folders in the folder, sorted."""
+        """The sorted names of subfolders."""
         return sorted(filter(self._is_folder.__getitem__, self._is_folder))
 
     def has(self, *names: str) -> bool:
-        """Return whether all of the names are there."""
+        """Return whether the folder has all of the names."""
         return set(names) <= self.names
 
     def one(self, stem: str, suffixes: Container[str]) -> Path | None:
-        """Return the file of that stem; InputError where several endings compete."""
+        """Return the file with this stem, or None. Raise InputError if several files have it."""
         files = _by_stem(self.names).get(stem)
-        if files is None:  # nearly always: all layouts ask for their own names
+        if files is None:  # the usual case: every layout looks for its own names
             return None
         fitting = [name for suffix, name in files if suffix in suffixes and not self._is_folder[name]]
         if len(fitting) > 1:
@@ -107,7 +107,7 @@ class Folder:
         return self.path / fitting[0] if fitting else None
 
     def below(self, place: str) -> Folder | None:
-        """Return the folder at a path in this one, or None."""
+        """Return the folder at a path below this one, or None."""
         if not place:
             return self
         if place not in self._below:
@@ -119,7 +119,7 @@ class Folder:
 
     @cached_property
     def meta(self) -> Meta:
-        """The fields of ``meta.json`` that have a value; none without such a file."""
+        """The non-null fields of ``meta.json``, or no fields if there is no such file."""
         path = self.path / "meta.json"
         if path.name not in self.names:
             return Meta(path, {})
@@ -129,9 +129,9 @@ class Folder:
         return Meta(path, {key: value for key, value in values.items() if value is not None})
 
 
-@lru_cache(maxsize=8)  # folders of thousands of scenes have the same names in them
+@lru_cache(maxsize=8)  # the folders of thousands of scenes contain the same names
 def _by_stem(names: frozenset[str]) -> dict[str, list[tuple[str, str]]]:
-    """Return stem -> (ending in lower case, name), sorted; names end as for pathlib, ``.nii.gz`` with both parts."""
+    """Return stem -> [(ending in lower case, name)], sorted by name; endings are pathlib's, and ``.nii.gz``."""
     by_stem: dict[str, list[tuple[str, str]]] = {}
     for name in sorted(names):
         dot = name.rfind(".")
@@ -143,7 +143,7 @@ def _by_stem(names: frozenset[str]) -> dict[str, list[tuple[str, str]]]:
 
 
 class Meta(NamedTuple):
-    """Fields of a ``meta.json``, checked; a method returns None, or its default, where the file lacks the field."""
+    """Checked fields of a ``meta.json``; methods return None or their default if a field is missing."""
 
     path: Path
     fields: dict[str, Any]
@@ -156,28 +156,28 @@ class Meta(NamedTuple):
         return None if value is None else float(value)
 
     def whole(self, key: str, low: int = -_MAX_WHOLE) -> int | None:
-        """Return a whole number, not below ``low``."""
+        """Return a whole number of at least ``low``."""
         value = self.fields.get(key)
         if value is not None and (type(value) not in (int, float) or value % 1 or not low <= value <= _MAX_WHOLE):
             raise self.error(key, f"a whole number from {low} to {_MAX_WHOLE}")
         return None if value is None else int(value)
 
     def text(self, key: str, default: str) -> str:
-        """Return a word."""
+        """Return the text of the field ``key``, or ``default``."""
         value = self.fields.get(key, default)
         if not isinstance(value, str):
             raise self.error(key, "a word")
         return value
 
     def disparities(self) -> dict[str, int | None]:
-        """Return the range of a pair's disparities, as fields of its scene."""
+        """Return a pair's disparity range as fields of its scene."""
         low, top = self.whole("min_disparity") or 0, self.whole("max_disparity")
         if top is not None and top <= low:
             raise self.error("max_disparity", f"a number above {low}")
         return {"min_disparity": low, "max_disparity": top}
 
     def pose(self) -> Pose | None:
-        """Return the matrix from the camera's coordinates to the world's below the key ``pose``."""
+        """Return the camera-to-world matrix below the key ``pose``."""
         value = self.fields.get("pose")
         if value is None:
             return None
@@ -185,41 +185,41 @@ class Meta(NamedTuple):
             return pose_of(numbers(value, "pose", (4, 4)))
 
     def error(self, key: str, wanted: str) -> InputError:
-        """Return the error that says that the field ``key`` must be ``wanted``."""
+        """Return an error with the message that the field ``key`` must be ``wanted``."""
         return InputError(f"{self.path}: {key}: expected {wanted} (got {short(self.fields.get(key))})")
 
 
 class Layout(ABC):
-    """One way to lay out a folder: a row of a table, or a class that looks for the files itself."""
+    """A folder structure: a row of a table, or a class that looks for the files itself."""
 
     kind: type[Scene]
     wants: str
-    """The files of a scene, in a line for messages and the manual."""
+    """The files of a scene, in one line for messages and the manual."""
     protocol: str = ""
-    """Name of the evaluation protocol of its scenes, where the folder names no other."""
+    """Default evaluation protocol of its scenes."""
 
     @property
     def name(self) -> str:
-        """Name on the command line: its row's or plug-in's, with dashes."""
+        """Name on the command line: the registered name with dashes."""
         return registered_name(type(self)).replace("_", "-")
 
     @abstractmethod
     def scenes(self, folder: Folder) -> list[Scene]:
-        """Return the scenes of ``folder`` itself; none if it is not of this layout."""
+        """Return the scenes of ``folder`` itself, or an empty list if it does not have this layout."""
 
     def scene(self, folder: Folder, /, **values: Any) -> Scene:
-        """Return a scene with these fields without a look for its files; its name is the folder's by default."""
+        """Return a scene with these fields, without looking for its files; the default name is the folder's."""
         common = {"name": folder.name, "folder": folder.path, "layout": self.name, "protocol": self.protocol}
         return self.kind(**{**common, **values})
 
 
 PLUGINS = Registry[Layout](__name__)
-"""The layouts of plug-ins; this package's are rows of tables."""
+"""The layouts of plug-ins; the package's own layouts are rows of tables."""
 
 
 @dataclass(frozen=True)
 class Layouts(Generic[SceneT]):
-    """The layouts whose scenes are of one kind."""
+    """The layouts of one kind of scene."""
 
     kind: type[SceneT]
     rows: tuple[Layout, ...]
@@ -230,17 +230,17 @@ class Layouts(Generic[SceneT]):
         return cls(kind, tuple(sorted(rows, key=lambda row: row.name)))
 
     def of_kind(self, kind: type[Scene]) -> Layouts[Any]:
-        """Return the layouts of a narrower kind."""
+        """Return the layouts of a subclass."""
         return Layouts(kind, tuple(row for row in self.rows if issubclass(row.kind, kind)))
 
     def with_plugins(self) -> Layouts[SceneT]:
-        """Return these, then the layouts of plug-ins."""
+        """Return these layouts, followed by the plug-ins' layouts of this kind."""
         added = (PLUGINS.load(name)() for name in PLUGINS.names())
         return replace(self, rows=(*self.rows, *(row for row in added if issubclass(row.kind, self.kind))))
 
 
 def layout_plugins(scenes: Iterable[Scene]) -> set[Plugin]:
-    """Return the plug-ins whose layouts found any of these scenes."""
+    """Return the plug-ins with a layout of any of these scenes."""
     names = {scene.layout for scene in scenes}
     return plugins_of(kind for name, kind in PLUGINS.added.items() if name.replace("_", "-") in names)
 
@@ -253,17 +253,17 @@ class Match(NamedTuple):
 
     @property
     def captured(self) -> str:
-        """What the wildcards of a pattern stand for."""
+        """The texts of a pattern's wildcards, without the file's ending."""
         return "/".join(filter(None, self.texts.values())).removesuffix(self.file.suffix)
 
     @property
     def path(self) -> str:
-        """The path from the pattern's first part with a wildcard on, without ending."""
+        """The path from the first part with a wildcard on, without the ending."""
         return str(Path(*self.file.parts[-len(self.texts) :]).with_suffix(""))
 
 
 class Found(NamedTuple):
-    """The files of one scene that a row has found in the folder that it describes."""
+    """The files of one scene that a row found in a folder."""
 
     folder: Folder
     keys: Mapping[str, str]  # placeholder -> text
@@ -277,18 +277,18 @@ class LayoutRow(Layout):
 
     Attributes
     ----------
-    files : role -> file name, of each variant; a scene that an earlier variant found is not found again. ``name`` is
-        that of the scene: ``{folder}`` is the folder's own, which is the default, ``{path_}`` folders joined by ``_``
-    kind, protocol : of the scenes
-    facts : returns further fields of a scene, or None where it is none of this layout
-    needs, without : names in the folder, all or none of which must be there (shell patterns)
-    alike : the names of the two images are patterns; images belong together of which one of these functions returns
-        the same text, which is the scene's name. The first counts by which any do, and no image whose text is not its
-        own alone. Empty: images belong together whose placeholders have the same texts
+    files : role -> file name, for each variant; earlier variants take precedence. ``name`` is the scene's name:
+        ``{folder}`` (default) is the folder's name, and ``{path_}`` the folders of ``{path}`` joined by ``_``
+    kind, protocol : kind and evaluation protocol of the scenes
+    facts : returns further fields of a scene, or None if the scene does not have this layout
+    needs, without : shell patterns of names; the folder must have all of ``needs`` and none of ``without``
+    alike : if given, the names of the two images are patterns. Two images match if a function returns the same text
+        for both, which becomes the scene's name. The first function with any match is used, and images that share a
+        text with another image of the same view are dropped. If empty, images match if their placeholders do
     """
 
     title: str  # name on the command line
-    wants: str  # the files of a scene, in a line for messages and the manual
+    wants: str  # the files of a scene, in one line for messages and the manual
     files: tuple[Mapping[str, str], ...] = ()
     kind: type[Scene] = StereoScene
     protocol: str = ""
@@ -297,8 +297,8 @@ class LayoutRow(Layout):
     needs: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
     alike: tuple[Callable[[Match], str], ...] = ()
-    either: bool = False  # each of the two images makes a scene, which has a problem without the other
-    single: bool = False  # the left image alone is a scene where its truth is known, and so is depth without color
+    either: bool = False  # one image makes a scene, which has a problem if the other image is missing
+    single: bool = False  # a left image with ground truth is a valid scene, and so is depth without color
 
     @property
     def name(self) -> str:
@@ -322,12 +322,12 @@ class LayoutRow(Layout):
         return next(roles for kind, roles in _VIEWS.items() if issubclass(self.kind, kind))
 
     def _pairs(self, folder: Folder, variant: Mapping[str, str]) -> Iterator[tuple[Texts, dict[str, Path]]]:
-        """Yield the placeholders and the two images of every scene."""
+        """Yield the placeholders and the images of every scene."""
         first, second = self._views
         is_of_many = bool(self.alike) or "{" in variant.get(second, "")
         one = matches(folder, first, variant.get(first, ""), wild=bool(self.alike))
         if not one and (not self.either or is_of_many):
-            return  # before the others are asked, whose names may make no sense in this layout
+            return  # before the second image is searched: its name may make no sense in this folder
         other = matches(folder, second, variant.get(second, ""), wild=bool(self.alike))
         for alike in self.alike or (None,):
             lefts, rights = _by_texts(one, alike), _by_texts(other, alike)
@@ -367,7 +367,7 @@ class LayoutRow(Layout):
     def _absent(
         self, folder: Folder, variant: Mapping[str, str], texts: Texts, views: Mapping[str, Path], has_truth: bool
     ) -> dict[str, Any]:
-        """Return the problem of a scene without one of its images, and where that would be."""
+        """Return the problem of a scene with one image, and the expected path of the other."""
         absent = next(role for role in self._views if role not in views)
         if self.single and (absent == "color" or (absent == "right" and has_truth)):
             return {absent: None}
@@ -379,9 +379,9 @@ class LayoutRow(Layout):
 
 
 def _dropped(roles: tuple[str, str], scenes: Mapping[str, Mapping[str, Path]]) -> dict[str, str]:
-    """Return name -> warning of the pairs of two folders of numbered frames that differ in number, but without a gap.
+    """Return name -> warning for pairs from two gapless folders of numbered frames with different numbers.
 
-    A frame may have been dropped in one of them, and those after it numbered anew; a gap tells which one is missing.
+    A frame may have been dropped in one folder and the later frames renumbered. A gap would show which one is missing.
     """
     first, second = roles
     both = {(views[first].parent, views[second].parent) for views in scenes.values() if len(views) == 2}
@@ -409,22 +409,22 @@ def _dropped(roles: tuple[str, str], scenes: Mapping[str, Mapping[str, Path]]) -
 
 
 def _name(folder: Folder, name: str, texts: Texts) -> str:
-    """Return the name of a scene; with the folder's name in it, it stands for itself in any other folder, too."""
+    """Return the name of a scene. The folder's prefix is left out if the name contains ``{folder}``."""
     folders = f"{texts['path']}_".replace("/", "_") if texts.get("path") else ""
     filled = _filled(name, {**texts, "folder": folder.name, "path_": folders})
     return filled if "{folder}" in name else folder.prefix + filled
 
 
 def _filled(name: str, texts: Mapping[str, str]) -> str:
-    """Return a name with the texts of its placeholders; others stay."""
+    """Return a name with its placeholders replaced by their texts; unknown placeholders stay."""
     for placeholder, text in texts.items():
         name = name.replace(f"{{{placeholder}}}", text)
     return name.replace("{_}", "")
 
 
-@lru_cache(maxsize=1024)  # folders of thousands of scenes have the same names in them
+@lru_cache(maxsize=1024)  # the folders of thousands of scenes contain the same names
 def _possible(row: LayoutRow, there: frozenset[str]) -> tuple[Mapping[str, str], ...]:
-    """Return the variants of which a folder with these names may have an image."""
+    """Return the variants whose images a folder with these names may have."""
 
     def is_there(*patterns: str) -> bool:
         return any(fnmatch.filter(there, each) for each in patterns)
@@ -440,7 +440,7 @@ def _possible(row: LayoutRow, there: frozenset[str]) -> tuple[Mapping[str, str],
 
 
 class _MapSuffixes:
-    """The endings of maps: ours first, since the endings of plug-ins take long to find."""
+    """The endings of maps; the package's are tried first, since loading plug-ins is slow."""
 
     def __contains__(self, suffix: object) -> bool:
         return suffix in MAP_SUFFIXES or suffix in map_formats()
@@ -454,7 +454,7 @@ def _suffixes(role: str) -> Container[str]:
 
 
 def _file(folder: Folder, role: str, names: str, texts: Mapping[str, str]) -> Path | None:
-    """Return the file of a role, by the first of the names that is there."""
+    """Return the file of the first of the names that exists, or None."""
     for name in names.split("|"):
         place, _, last = (_filled(name, texts) if texts else name).rpartition("/")
         inside, file = folder.below(place), None
@@ -470,10 +470,10 @@ def _file(folder: Folder, role: str, names: str, texts: Mapping[str, str]) -> Pa
 
 
 def matches(folder: Folder, role: str, names: str, wild: bool = False) -> list[Match]:
-    """Return the files of a role whose paths in a folder fit a name, by the first of the names that any file fits.
+    """Return the files of a role below a folder that match the first of the names with any match.
 
-    A name has placeholders; one that ends in ``.*`` fits the files with an ending of the role. If ``wild``, it is one
-    pattern with wildcards, which fits images only.
+    Names have placeholders; ``.*`` at the end matches the endings that the role allows. If ``wild``, ``names`` is one
+    pattern with wildcards and matches images only.
     """
     files = []
     for name in (names,) if wild else names.split("|"):
@@ -484,7 +484,7 @@ def matches(folder: Folder, role: str, names: str, wild: bool = False) -> list[M
             continue
         head, slash, _ = name[: open_part.start() if open_part else len(name)].rpartition("/")
         root = folder.below(head)
-        if wild:  # its paths stay as they were typed
+        if wild:  # keep the paths as they were typed
             path = folder.path / (head + slash)
             root = Folder(path, "", "") if os.path.isdir(path) else None
         *parts, last = name[len(head + slash) :].split("/")
@@ -507,7 +507,7 @@ def matches(folder: Folder, role: str, names: str, wild: bool = False) -> list[M
 
 
 def _folders(folder: Folder, part: str, level: str) -> Iterator[tuple[Texts, Folder]]:
-    """Yield placeholders and folder of every folder in this one whose name matches; ``{path}`` is this one, too."""
+    """Yield the placeholders and folder of each matching subfolder; ``{path}`` matches ``folder`` itself, too."""
     if part == "{path}" and not level:
         yield {"path": ""}, folder
         for path in sorted(path for path in folder.path.rglob("[!.]*") if path.is_dir()):
@@ -521,7 +521,7 @@ def _folders(folder: Folder, part: str, level: str) -> Iterator[tuple[Texts, Fol
 
 
 def _texts(match: re.Match[str], level: str) -> Texts:
-    """Return the texts of placeholders or, of the part of a pattern at a level, of its wildcards; 7 and 007 are one."""
+    """Return the texts of placeholders, or of the wildcards at a level of the path. Numbers lose leading zeros."""
     if level:
         return {level: "".join(match.groups())}
     texts = match.groupdict()
@@ -531,10 +531,10 @@ def _texts(match: re.Match[str], level: str) -> Texts:
 
 
 def _by_texts(files: Iterable[Match], alike: Callable[[Match], str] | None) -> dict[_Key, Path]:
-    """Return texts -> file: the texts of all placeholders or, as ``name``, the one that ``alike`` returns.
+    """Return texts -> file; the texts are of all placeholders, or ``name`` with the text that ``alike`` returns.
 
-    Two files with the same placeholders are an InputError. Of two that are alike none is used, so that no pair is made
-    up.
+    Raise InputError if two files have the same placeholders. Files that share a text of ``alike`` are dropped, so that
+    no wrong pair arises.
     """
     by_texts: dict[_Key, Path] = {}
     twice = set()
@@ -551,7 +551,7 @@ def _by_texts(files: Iterable[Match], alike: Callable[[Match], str] | None) -> d
 
 @lru_cache
 def _pattern(name: str, wild: bool) -> re.Pattern[str]:
-    """Return the regular expression of a part of a name with placeholders, or with wildcards."""
+    """Return the regular expression for a part of a name with placeholders or wildcards."""
     groups = []
     for number, piece in enumerate((_WILDCARD if wild else _PLACEHOLDER).split(name)):
         if number % 2 == 0:
@@ -566,15 +566,15 @@ def _pattern(name: str, wild: bool) -> re.Pattern[str]:
 
 
 def name_of_file(file: Path, *generic: str) -> str:
-    """Return the name of a single scene: its file's, or its folder's where that is a generic one."""
+    """Return the name of a single scene: the file's stem, or the folder's name if the stem is generic."""
     folder, stem = file.absolute().parent.name, file.stem
-    if file.suffix.lower() == ".gz":  # of a compressed file the other ending goes, too: scan.nii.gz is scan
+    if file.suffix.lower() == ".gz":  # drop both endings: scan.nii.gz becomes scan
         stem = Path(stem).stem
     return folder if stem.lower() in generic and folder else stem
 
 
 def rows_in_file(path: Path) -> tuple[LayoutRow, ...]:
-    """Return the layouts of a user's YAML file: name -> role -> file name, and other fields of scenes."""
+    """Return the layouts in a user's YAML file: name -> role -> file name, with other fields of scenes."""
     rows = []
     for title, given in read_config(path).data.items():
         if not isinstance(given, dict) or not {"left", "depth"} & given.keys():

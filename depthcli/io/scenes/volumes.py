@@ -1,4 +1,4 @@
-"""Our own layout of registered volumes, and the pair that the options of a command name."""
+"""The layout of registered volumes, and the pair that a command's options name."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SUFFIXES = {
 
 
 class Registration(Layout):
-    """One folder per pair; the name of each file tells its content."""
+    """One folder per pair; the names of its files give their roles."""
 
     name = "registration"
     kind = VolumePairScene
@@ -63,13 +63,13 @@ class Registration(Layout):
 
 
 def _labels(folder: Folder, maps: Sequence[str]) -> tuple[tuple[str, tuple[tuple[str, int], ...]], ...]:
-    """Return the names of the labels of each label map, by ``labels`` of meta.json: map -> region -> label."""
+    """Return label map -> region -> label, from ``labels`` of meta.json; background (0) is left out."""
     given = folder.meta.fields.get("labels", {})
     wanted = 'the regions of each mask, such as {"organs": {"liver": 1, "spleen": 2}} of mask_organs.*'
     if not isinstance(given, dict):
         raise folder.meta.error("labels", wanted)
     for name in given:
-        if name not in maps:  # one meta.json may describe all pairs, of which some lack a mask
+        if name not in maps:  # no error: one meta.json may describe all pairs, and some may lack a mask
             warn(f"{folder.meta.path}: labels: there is no mask_{name}.*")
     for regions in given.values():
         if not isinstance(regions, dict) or any(type(label) is not int or label < 0 for label in regions.values()):
@@ -86,7 +86,10 @@ VOLUMES = Layouts.of(VolumePairScene, Registration())
 
 
 def named_volumes(values: Mapping[str, Any]) -> list[Scene]:
-    """Return the pair of the options ``fixed`` and ``warped``, or ``moving`` with its transform; none without them."""
+    """Return the pair of ``fixed`` and ``warped``, or of ``fixed`` and ``moving`` with its transform, in a list.
+
+    The list is empty without these options.
+    """
     roles = {"warped": "moving_warped"} | {name: name for name in ("moving", "displacement", "transform", "mask")}
     files: dict[str, Any] = {role: values[name] for name, role in roles.items() if values.get(name) is not None}
     fixed, apply = values.get("fixed"), values.get("apply")
