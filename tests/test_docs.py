@@ -129,6 +129,8 @@ def test_the_tables_of_the_thesis_show_what_was_measured():
 def test_the_config_keys_on_the_page_of_the_thesis_exist():
     """Each word of the equations' config columns and of the "Config:" lines is a key or value of a chapter's preset."""
     for chapter in (DOCS / "thesis.md").read_text("utf-8").split("\n## Chapter ")[1:]:
+        if chapter.startswith("1:"):
+            continue  # it has no method of its own
         found = re.search(r"^depthcli (\S+) thesis/", chapter, re.MULTILINE)
         assert found
         presets = [
@@ -137,7 +139,8 @@ def test_the_config_keys_on_the_page_of_the_thesis_exist():
         model = config_model(found[1])
         assert model and presets
         known = "".join(dump_config(load_config(model, find_config(found[1], name))) for name in presets)
-        shown = chapter.partition("| equation | config")[2].partition("\n\n")[0]
+        rows = chapter.partition("| equation | config")[2].partition("\n\n")[0].splitlines()
+        shown = "\n".join(row.split(" | ")[1] for row in rows if " | " in row)
         shown += chapter.partition(" Config: ")[2].partition("\n\n")[0]
         words = {word for code in re.findall(r"`([^`]+)`", shown) for word in re.findall(r"[a-z]\w+", code)}
         assert words and words <= set(re.findall(r"\w+", known)), (chapter[:1], words - set(re.findall(r"\w+", known)))
