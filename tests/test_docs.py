@@ -139,7 +139,7 @@ def test_the_config_keys_on_the_page_of_the_thesis_exist():
         model = config_model(found[1])
         assert model and presets
         known = "".join(dump_config(load_config(model, find_config(found[1], name))) for name in presets)
-        rows = chapter.partition("| equation | config")[2].partition("\n\n")[0].splitlines()
+        rows = chapter.partition("| equation | config")[2].partition("\n\n")[0].splitlines()[1:]
         shown = "\n".join(row.split(" | ")[1] for row in rows if " | " in row)
         shown += chapter.partition(" Config: ")[2].partition("\n\n")[0]
         words = {word for code in re.findall(r"`([^`]+)`", shown) for word in re.findall(r"[a-z]\w+", code)}
