@@ -105,8 +105,8 @@ def test_dead_links_are_found(tmp_path: Path):
 
 
 def test_pictures_are_small():
-    pictures = (file for end in ("png", "svg") for file in (DOCS / "static").rglob(f"*.{end}"))
-    assert sum(file.stat().st_size for file in pictures) <= 16_000_000
+    pictures = (file for end in ("png", "svg", "webp") for file in (DOCS / "static").rglob(f"*.{end}"))
+    assert sum(file.stat().st_size for file in pictures) <= 4_000_000
 
 
 def test_measured_tables_have_their_place():

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Draw the pictures of the documentation, docs/static/*.png, from a real pair and generated scenes.
+"""Draw the pictures of the documentation, docs/static/*.webp, from a real pair and generated scenes.
 
     docs/examples/pictures.py [--check] [--only NAME,NAME]
 
@@ -135,7 +135,7 @@ def wrong(values: Shown, truth: Shown, pixels: Shown) -> float:
 
 
 def encoded(drawn: Any) -> bytes:
-    """Return a figure or an array as a PNG in full color."""
+    """Return a figure or an array as a WebP of high quality, a fifth of a PNG."""
     small = io.BytesIO()
     if isinstance(drawn, np.ndarray):
         image = Image.fromarray(drawn)
@@ -144,7 +144,7 @@ def encoded(drawn: Any) -> bytes:
         drawn.savefig(file, dpi=DPI)
         plt.close(drawn)
         image = Image.open(file).convert("RGB")
-    image.save(small, "PNG", optimize=True)
+    image.save(small, "WEBP", quality=88, method=6)
     return small.getvalue()
 
 
@@ -165,9 +165,9 @@ def main() -> None:
     for file in sorted(Path(__file__).parent.glob("pictures_*.py")):
         importlib.import_module(file.stem)
     names = [name for name in PICTURES if options.only in ([""], []) or name in options.only]
-    problems = [f"{file.name}: no function draws it" for file in FOLDER.glob("*.png") if file.stem not in PICTURES]
+    problems = [f"{file.name}: no function draws it" for file in FOLDER.glob("*.webp") if file.stem not in PICTURES]
     for name in names:
-        file, drawn = FOLDER / f"{name}.png", encoded(PICTURES[name]())
+        file, drawn = FOLDER / f"{name}.webp", encoded(PICTURES[name]())
         if options.check and (found := problem(file, drawn)):
             problems.append(f"{file.name}: {found}")
         elif not options.check:
