@@ -116,7 +116,13 @@ def test_a_map_of_the_same_aspect_is_taken_as_registered():
         ((48, 64), COLOR, Intrinsics(0, 1, 2, 3), None, "positive focal lengths"),
         ((48, 64), COLOR, DEPTH, ((0.0,) * 9, (0.0,) * 3), "not a rotation matrix"),
         ((48, 64), COLOR, DEPTH, (PLACE[0], (30.0, 0, 0)), "expected meters"),
-        ((48, 64), COLOR, DEPTH, (PLACE[0], (0.0, 0, -9)), "no point of the depth map lies in the color image"),
+        (
+            (48, 64),
+            COLOR,
+            DEPTH,
+            ((-1.0, 0, 0, 0, 1, 0, 0, 0, -1), (0.0, 0, 0)),
+            "no point of the depth map lies in the color image",
+        ),
     ],
 )
 def test_cameras_that_do_not_fit_are_refused(shape, color, camera, place, said):

@@ -44,6 +44,7 @@ from depthcli.methods.kinect.pipeline.nearest import NearestFill
 from depthcli.methods.registration.feature.intensity import Intensity
 from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.methods.stereo.boundary.gaussian import Gaussian
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.pipeline.local import Local
@@ -108,6 +109,7 @@ SUBCLASSES = (
     ("MyFill", "NearestFill"),
     ("MyFeature", "Intensity"),
     ("MyWindow", "ConstantWindow"),
+    ("MyBoundary", "Gaussian"),
     ("MyWinner", "WinnerTakesAll"),
     ("MyPipeline", "Local"),
     ("MyMedian", "Median"),

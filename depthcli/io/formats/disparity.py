@@ -96,7 +96,7 @@ def _mark_of(known: NDArray[np.float32], shape: tuple[int, ...]) -> np.float32 |
         others = known[known != mark]
         if abs(mark) > shape[1] and known.size - others.size > 1 and others.size:
             nearest = np.abs(others[np.sign(others) == np.sign(mark)]).max(initial=np.float32(0))
-            if abs(mark) > _MIN_FAR_RATIO * nearest:
+            if abs(float(mark)) > _MIN_FAR_RATIO * float(nearest):
                 return np.float32(mark)
     for some in (known, known[known >= 0]):
         smallest = some.min(initial=np.float32(np.inf))
@@ -270,7 +270,7 @@ def _decode_npy(data: bytes, path: Path | str) -> NDArray[Any]:
             )
         if (size := max(info.file_size for info in stored.zip.infolist())) > _MAX_UNPACKED_BYTES:
             raise InputError(f"too large: {size} bytes")
-        if others := [name for name in stored.files if name != names[0]]:
+        if others := [name for name in stored.files if name != names[0] and stored[name].ndim > 1]:
             warn(f"{shown(path)}: its array {names[0]!r} is read, not {', '.join(others)[:200]}")
         return _numbers(stored[names[0]], 2)
     except InputError:
