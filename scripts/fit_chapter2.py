@@ -31,7 +31,7 @@ from _experiments import GROUPS, THESIS, config_of, scenes_in
 from _thesis_stereo import MASKS, SCENES
 
 from depthcli.algorithms.regions import region_graph
-from depthcli.core.result import Clock
+from depthcli.core.context import Clock
 from depthcli.evaluation.protocols import headlines
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.io.stereo_pairs import load_pair

@@ -127,8 +127,8 @@ rng = np.random.default_rng(0)
 labels = np.arange(100, dtype=np.int32).reshape(10, 10).repeat(10, 0).repeat(10, 1)
 values = (rng.random((100, 100)) * 50).astype(np.float32)
 planes = rng.normal(size=(30, 3)) * [0.01, 0.01, 20]
-sums = np.zeros((100, 30))
-run_bands(energy.discrepancy, 64, sums, values, *RegionPixels.of(labels), planes, 10.0, 2.0)
+sums, weights = np.zeros((100, 30)), np.ones((1, 1), np.float32)
+run_bands(energy.discrepancy, 64, sums, values, weights, *RegionPixels.of(labels), planes, 10.0, 2.0)
 print(hashlib.sha256(sums.tobytes()).hexdigest(), energy.discrepancy.stats.cache_hits.total())
 """
 

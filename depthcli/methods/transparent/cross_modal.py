@@ -43,6 +43,7 @@ _MEASURES: dict[str, Any] = {
 }
 # Steps of ``stereo segments``, but less smooth, and without splitting segments that lack structure.
 _STEPS: dict[str, Any] = {
+    "segmentation": "mean_shift_rgb",
     "window_radius": 0,
     "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
     "planes": {"tolerance": 0.75, "min_size": 50, "flatness": 0.9, "flat": True, "max_planes": 150},
