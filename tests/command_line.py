@@ -13,7 +13,8 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.errors import DepthcliError
-from depthcli.run.records import RECORD_FILE, REPORT_FILES
+from depthcli.io.formats.files import RECORD_FILE
+from depthcli.run.records import REPORT_FILES
 
 
 def run(*arguments: str | Path) -> int:

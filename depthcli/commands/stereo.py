@@ -26,7 +26,7 @@ from depthcli.run.console import Reporter
 from depthcli.show.table import aligned
 
 
-def _listed(name: str | None) -> str | None:
+def _printed_devices(name: str | None) -> str | None:
     """Print the devices with their measured bandwidth, and reasons for missing kinds, for ``--device list``."""
     if name != "list":
         return name
@@ -61,7 +61,7 @@ def stereo(
             "--device",
             metavar="NAME",
             is_eager=True,
-            callback=_listed,
+            callback=_printed_devices,
             help="Where to match: cpu, auto (a GPU if there is one), opencl or cuda, also with :N; list prints all. "
             "Default: cpu.",
         ),

@@ -20,7 +20,7 @@ from depthcli.core.maps import DisparityMap
 from depthcli.io.formats.calibrations import Reading, read_geometry
 from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
 from depthcli.io.formats.disparity import check_sign, read_foreign_map, read_pfm
-from depthcli.io.formats.files import collected_warnings, naming, shown
+from depthcli.io.formats.files import collected_warnings, is_of_a_run, naming, shown
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import DisparityScene, Scene, StereoScene, check_same_size
@@ -158,11 +158,9 @@ class ToDepth(SceneJob[DisparityScene]):
         size = None if shape is None else (shape[1], shape[0])
         rectified = beside if os.path.isfile(beside) and os.path.isfile(scene.folder / "left.png") else None
         given = {key: self.config[key] for key in ("unit", "fisheye", "cameras", "alpha") if key in self.config}
-        is_own = scene.calibration == rectified and os.path.isfile(scene.folder / "record.json")
-        own: dict[str, Any] = {
-            "cameras": scene.cameras,
-            "asks": not is_own,
-        }  # its unit is known, whatever the baseline is
+        is_own = rectified is not None and scene.calibration == rectified and is_of_a_run(rectified)
+        # The unit of our own calibration is known, whatever the baseline is.
+        own: dict[str, Any] = {"cameras": scene.cameras, "asks": not is_own}
         return read_geometry(files, Reading(**(own | given)), size, rectified)
 
 
@@ -191,7 +189,7 @@ def find_maps(
     run = local(run)
     if os.path.isfile(run):
         single = DisparityScene(name=run.stem, folder=run.parent, disparity=run)
-        if run.name == _MAP and os.path.isfile(run.with_name("record.json")):  # with the run's other files
+        if run.name == _MAP and is_of_a_run(run):  # with the run's other files
             single = _map_of(run.parent, run.stem, None, None)
         if calibration is not None or by_hand:
             single = replace(single, calibration=calibration)

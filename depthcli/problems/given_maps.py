@@ -33,7 +33,7 @@ from depthcli.evaluation.map_files import (
     recognized,
 )
 from depthcli.io.formats.disparity import check_sign, read_foreign_map, scale_of
-from depthcli.io.formats.files import collected_warnings
+from depthcli.io.formats.files import RECORD_FILE, collected_warnings
 from depthcli.io.formats.images import png_bytes, read_image, write_drawn
 from depthcli.io.formats.networks import network_path, read_errors, read_network
 from depthcli.io.formats.status import read_status
@@ -48,7 +48,7 @@ from depthcli.problems.inputs import as_image, as_map, as_pair
 from depthcli.problems.problem import MAP_FILES, Problem, ResultT, Shown
 from depthcli.problems.results import Disparity, made, write_details, write_disparity
 from depthcli.run.console import Reporter
-from depthcli.run.records import RECORD_FILE, read_report
+from depthcli.run.records import read_report
 from depthcli.run.resources import available_memory, check_memory
 from depthcli.show.table import SIZE, Row, median, number, percent, share
 from depthcli.show.view import STATUS_PALETTE, View

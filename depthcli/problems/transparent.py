@@ -103,7 +103,7 @@ class Transparent(DepthProblem[RgbdScene, GlassInputs, TransparentConfig]):
 
     @property
     def by_mask(self) -> bool:
-        """Whether the mask of objects is an input."""
+        """True if the mask of objects is an input."""
         return self.config.stereo is None and self.config.pipeline.needs == "objects"
 
     def truth_scenes(self, scenes: Sequence[RgbdScene]) -> Sequence[RgbdScene]:

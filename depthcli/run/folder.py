@@ -17,10 +17,9 @@ from pathlib import Path
 from types import TracebackType
 
 from depthcli.core.errors import ConfigError, OutputError
-from depthcli.io.formats.files import RUN_FILE, flush, write_text
+from depthcli.io.formats.files import RECORD_FILE, RUN_FILE, flush, write_text
 from depthcli.run.records import (
     CLAIM_FILE,
-    RECORD_FILE,
     REPORT_FILES,
     Record,
     digest,

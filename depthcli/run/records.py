@@ -23,11 +23,18 @@ from pathlib import Path
 from typing import Any
 
 from depthcli.core.errors import InputError, OutputError
-from depthcli.io.formats.files import file_states, flush, flush_all, open_regular, remove_temporaries, write_text
+from depthcli.io.formats.files import (
+    RECORD_FILE,
+    file_states,
+    flush,
+    flush_all,
+    open_regular,
+    remove_temporaries,
+    write_text,
+)
 from depthcli.show.table import Row, to_csv, to_json
 
 REPORT_FILES = ("report.json", "report.csv")
-RECORD_FILE = "record.json"
 CLAIM_FILE = ".claim.json"
 """Record of results that are being written or removed: they are not done, but their files may be replaced."""
 

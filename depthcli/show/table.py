@@ -139,7 +139,7 @@ class Table:
 
     @property
     def _numeric(self) -> list[bool]:
-        """Whether each column has numbers alone; the first never does."""
+        """Return for each column whether it has only numbers; the first never does."""
         return [j > 0 and all(map(_NUMERIC.fullmatch, cells)) for j, cells in enumerate(self.cells)]
 
     def places(self, j: int) -> list[int]:

@@ -20,12 +20,12 @@ from pydantic import BaseModel
 
 from depthcli.core.context import Clock, Context
 from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
-from depthcli.io.formats.files import atomic_path
+from depthcli.io.formats.files import RECORD_FILE, atomic_path
 from depthcli.io.scenes import Scene
 from depthcli.run import records, workers
 from depthcli.run.console import Reporter
 from depthcli.run.job import Execution, Job, Outcome
-from depthcli.run.records import RECORD_FILE, discard, hidden_folder, read_report
+from depthcli.run.records import discard, hidden_folder, read_report
 from depthcli.run.runner import run_scenes
 from depthcli.run.scene import Task, Work, _keep_only, compute_scene
 from depthcli.show.table import Column, run_table

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.io.formats.exr import read_exr
-from depthcli.io.formats.files import naming, open_regular, read_bytes, shown, warn, write_bytes
+from depthcli.io.formats.files import is_of_a_run, naming, open_regular, read_bytes, shown, warn, write_bytes
 from depthcli.io.formats.images import NPY_MAGIC, decode_numbers, image_kind, pfm_header, png_bytes, read_grey
 from depthcli.io.formats.map_format import read_by_plugin
 
@@ -77,7 +77,7 @@ def foreign_constants(path: Path | str, disparity: NDArray[np.float32]) -> list[
     These are the smallest value, if it is at most 0, frequent and isolated, and values of several pixels that exceed
     the image width and are far from all others. Maps of this program's runs have no such constants.
     """
-    if Path(path).with_name("record.json").is_file():
+    if is_of_a_run(path):
         return []
     left, marks = disparity[np.isfinite(disparity)], list[np.float32]()
     while len(marks) < _MAX_MARKS and (mark := _mark_of(left, disparity.shape)) is not None:
@@ -127,8 +127,7 @@ def read_foreign_map(
     If ``invalid`` is None, :func:`foreign_constants` mean no value, with a warning; NaN keeps them. Without
     ``says_scale``, KITTI's scale is used for 16-bit codes without a warning, since the ground truth has it.
     """
-    is_own = Path(path).with_name("record.json").is_file()
-    disparity = read_disparity(path, scale, scale_8bit, invalid, says_scale and not is_own)
+    disparity = read_disparity(path, scale, scale_8bit, invalid, says_scale and not is_of_a_run(path))
     for constant in foreign_constants(path, disparity) if invalid is None else ():
         disparity[constant.marked] = np.nan
         warn(f"{shown(path)}: {constant}: taken as no value (--invalid nan keeps them)")

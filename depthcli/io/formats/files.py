@@ -28,6 +28,9 @@ PARTIAL_SUFFIX = ".partial~"
 RUN_FILE = "run.yaml"
 """Name of the file with a run's command and config; it marks the folder's files as results, not input."""
 
+RECORD_FILE = "record.json"
+"""Name of the file with a scene's record, next to the scene's results in a run."""
+
 _MAX_NAME_BYTES = 255  # limit for one part of a path in nearly all file systems
 _END_BYTES = 40  # kept from the end of a longer name
 _MAX_START = 40  # characters kept at the start of a temporary name; the whole name may be too long
@@ -36,6 +39,11 @@ _MAX_FLUSHES = 16  # threads that wait for the disk; a scene has about 6 files
 _flushes = ThreadPoolExecutor(_MAX_FLUSHES, "flush")  # starts threads only when it gets work
 # Opening a pipe must not block, and a terminal must not become the controlling one.
 _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
+
+
+def is_of_a_run(path: Path | str) -> bool:
+    """Return True for a file in a scene's folder of a run: the scene's record is next to it."""
+    return Path(path).with_name(RECORD_FILE).is_file()
 
 
 def shown(path: Path | str) -> str:

@@ -464,12 +464,12 @@ class _TiffHeader:
 
     @property
     def is_float(self) -> bool:
-        """Whether samples are floating-point."""
+        """True if samples are floating-point."""
         return self.format == _FLOATS
 
     @property
     def is_image(self) -> bool:
-        """Whether samples are unsigned and have at most 16 bit."""
+        """True if samples are unsigned and have at most 16 bit."""
         return self.format not in (_FLOATS, _SIGNED) and self.bits <= 16
 
     @property
@@ -485,7 +485,7 @@ class _TiffHeader:
 
     @property
     def is_usual(self) -> bool:
-        """Whether Pillow, or OpenCV for 16-bit color, decodes it correctly."""
+        """True if Pillow, or OpenCV for 16-bit color, decodes it correctly."""
         wide_grey = self.bits == 16 and (self.samples == 2 or self.photometric == _MIN_IS_WHITE)
         return not wide_grey and not (self.is_separate and self.samples > 1)
 

@@ -52,7 +52,7 @@ class Scene:
 
     @property
     def has_truth(self) -> bool:
-        """Whether the scene has ground truth to compare with."""
+        """True if the scene has ground truth to compare with."""
         return False
 
     @property
@@ -105,12 +105,12 @@ class StereoScene(Scene):
 
     @property
     def is_first(self) -> bool:
-        """Whether this is a single pair or the first frame of a sequence."""
+        """True if this is a single pair or the first frame of a sequence."""
         return not self.sequence or self.sequence[0].name == self.name
 
     @property
     def has_truth(self) -> bool:
-        """Whether the left view has a ground truth disparity map."""
+        """True if the left view has a ground truth disparity map."""
         return self.disparity_left is not None
 
 
@@ -200,7 +200,7 @@ class RgbdScene(Scene):
 
     @property
     def has_truth(self) -> bool:
-        """Whether the frame has ground truth depth."""
+        """True if the frame has ground truth depth."""
         return self.depth_true is not None
 
     def with_scale(self, scale: float | None) -> Self:
@@ -240,7 +240,7 @@ class SequenceScene(Scene):
 
     @property
     def has_truth(self) -> bool:
-        """Whether any frame has ground truth."""
+        """True if any frame has ground truth."""
         return any(frame.has_truth for frame in self.frames)
 
 
@@ -275,7 +275,7 @@ class VolumePairScene(Scene):
 
     @property
     def has_truth(self) -> bool:
-        """Whether there are dense errors, or landmarks of both volumes with a transform that maps them."""
+        """True if there are dense errors, or landmarks of both volumes with a transform that maps them."""
         landmarks = self.landmarks_fixed is not None and self.landmarks_moving is not None
         return self.error_true is not None or (landmarks and (self.transform or self.displacement) is not None)
 
