@@ -92,5 +92,5 @@ def test_the_manual_and_the_readme_are_short():
     by_hand = [re.sub(r"<!-- begin .*?<!-- end -->", "", text, flags=re.S) for text in texts]
     outputs = re.compile(r"^```console.*?^```$", re.M | re.S)
     commands = [outputs.sub(lambda block: "\n".join(re.findall(r"^\$ .*", block[0], re.M)), text) for text in by_hand]
-    assert sum(len(text.split()) for text in commands) <= 22_300
+    assert sum(len(text.split()) for text in commands) <= 22_000
     assert len(README.splitlines()) <= 130
