@@ -23,8 +23,8 @@ from depthcli.io.formats.files import collected_warnings, file_states, shown, wa
 from depthcli.io.formats.images import pair_of, write_png
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair, load_views
+from depthcli.methods.stereo.rectification import Points, match_views, row_error
 from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, matched_range
-from depthcli.methods.stereo.view_matching import Points, match_views, row_error
 from depthcli.show.table import Row, number
 
 _MAX_ROW_ERROR = 1.0  # largest median row error of a calibrated pair without a warning, pixels

@@ -20,9 +20,8 @@ from depthcli.io.formats.files import collected_warnings, write_text
 from depthcli.io.formats.images import write_png
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_views, view_size
-from depthcli.methods.stereo.rectification import RectifyingHomographies, rectify_uncalibrated
+from depthcli.methods.stereo.rectification import Points, RectifyingHomographies, match_views, rectify_uncalibrated
 from depthcli.methods.stereo.search_range import SearchRange, matched_range
-from depthcli.methods.stereo.view_matching import Points, match_views
 from depthcli.problems.problem import SceneJob, Shown
 from depthcli.problems.rectified import (
     METRIC_COLUMNS,

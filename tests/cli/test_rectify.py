@@ -22,8 +22,7 @@ from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.status import read_status
-from depthcli.methods.stereo.rectification import rectify_uncalibrated
-from depthcli.methods.stereo.view_matching import row_error
+from depthcli.methods.stereo.rectification import rectify_uncalibrated, row_error
 from depthcli.problems import rectified
 from tests.command_line import contents, refused, run
 

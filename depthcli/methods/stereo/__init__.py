@@ -4,7 +4,7 @@ Start at :func:`.matching.match`. The modules, in the order in which data pass t
 
 | module | input -> output |
 |---|---|
-| ``rectification`` | points matched by ``view_matching`` -> homographies that bring them to the same rows |
+| ``rectification`` | two views -> matched key points -> homographies that bring these to the same rows |
 | ``keypoint_matching`` | pair -> matched key points, for the segments of chapter 2 |
 | ``search_range`` | pair, ends given by the user or "auto" -> the disparities to search (by the pair at a small size) |
 | ``matching`` | matcher, pair, largest disparity, limits -> ``StereoResult``; matched whole, in tiles or on a device |

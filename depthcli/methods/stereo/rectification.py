@@ -1,4 +1,4 @@
-"""Rectification without a calibration: matched points are brought to the same rows."""
+"""Rectification without a calibration: key points of both views are matched and brought to the same rows."""
 
 from __future__ import annotations
 
@@ -10,14 +10,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.methods.stereo.view_matching import Points, row_error
 
+Points = NDArray[np.float64]
+"""(N, 2) x and y, pixels."""
+
+_MAX_PIXELS = 2_000_000  # larger images are reduced to this size for key points: more pixels add little
+_MAX_KEY_POINTS = 6000
+_RATIO = 0.75  # a match must be nearer than this times the second candidate (Lowe, IJCV 2004, has 0.8)
 _MIN_MATCHES = 20  # for six unknowns
 _MAX_ROW_ERROR = 1.0  # median, pixels, of a pair rectified without calibration; matching tolerates it
 _MAX_STEPS = 60  # of Levenberg-Marquardt, which ends earlier when steps are small
 _FIRST_FOCALS = (1.0, 1.5, 0.7, 2.5)  # starts of the search, in lengths of the longer side: wide to long lenses
 _REGULARIZATION = 0.1  # pixels per radian, and per unit of log f: keeps undetermined parameters at zero
 _MIN_DISPARITY_SHARE = 0.02  # smallest disparity of the matches after rectification, share of the width
+
+
+def match_views(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[Points, Points]:
+    """Return matched key points (SIFT, mutual nearest neighbors, ratio test) of two (H, W) uint8 views, some wrong."""
+    found = []
+    for image in (left, right):
+        height, width = image.shape
+        shrink = min(1.0, (_MAX_PIXELS / (height * width)) ** 0.5)
+        small = image
+        if shrink < 1:
+            small = np.asarray(cv2.resize(image, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA), np.uint8)
+        points, descriptors = cv2.SIFT.create(nfeatures=_MAX_KEY_POINTS).detectAndCompute(small, None)
+        places = np.array([point.pt for point in points], np.float64).reshape(-1, 2)
+        scale = np.array([width / small.shape[1], height / small.shape[0]])
+        found.append(((places + 0.5) * scale - 0.5, descriptors))
+    (one, of_one), (other, of_other) = found
+    if len(one) < 2 or len(other) < 2:
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    matcher = cv2.BFMatcher()
+    back = {match.queryIdx: match.trainIdx for match in matcher.match(of_other, of_one)}
+    kept = [
+        (best.queryIdx, best.trainIdx)
+        for best, second in matcher.knnMatch(of_one, of_other, k=2)
+        if best.distance < _RATIO * second.distance and back.get(best.trainIdx) == best.queryIdx
+    ]
+    pairs = np.array(sorted(kept), np.int64).reshape(-1, 2)
+    return one[pairs[:, 0]], other[pairs[:, 1]]
+
+
+def row_error(left: Points, right: Points) -> float:
+    """Return the median difference of the rows of matched points, pixels; NaN if there are none."""
+    return float(np.median(np.abs(left[:, 1] - right[:, 1]))) if len(left) else float("nan")
 
 
 @dataclass(frozen=True)

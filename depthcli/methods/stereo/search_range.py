@@ -10,14 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.context import Clock
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.kernels.winners import winners
-from depthcli.methods.stereo.cost.census import Census
-from depthcli.methods.stereo.optimization.scanline import Scanline
-from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
-from depthcli.methods.stereo.volume import RefinementContext, StereoResult
+from depthcli.methods.stereo.stages import quick_stages
+from depthcli.methods.stereo.volume import StereoResult
 
 _SMALL, _LARGER = 5_000, 20_000  # pixels of the two sizes at which a pair is matched to find its range
 _WINDOWS = 7, 5  # sides of the census window at these sizes, pixels
@@ -206,13 +204,8 @@ def _reduced(views: Sequence[Image], n_pixels: int) -> tuple[Image, Image]:
 def _matched(views: tuple[Image, Image], low: float, top: float, window: int) -> NDArray[np.float32]:
     """Return the disparities of a small pair from ``low`` to ``top``, (H, W) float32, NaN where the views disagree."""
     width, search = views[0].shape[1], SearchRange(int(np.floor(low)), int(np.ceil(top)))
-    pair = search.shift(StereoPair(*views))
-    cost = Census(window=(window, window))(pair, search.shifted_max_disparity + 1)
-    volume = Scanline(p1=25, p2=120, paths=4, edge_threshold=15, edge_divisor=6)(cost, pair)
-    values, back = winners(volume.costs)
-    found = DisparityMap(values.astype(np.float32), np.zeros(pair.shape, np.uint8))
-    found = LeftRightCheck()(found, RefinementContext(pair, volume, back))
-    found = search.restore(StereoResult(found), width).disparity
+    pair, stages = search.shift(StereoPair(*views)), quick_stages(window=window, paths=4)
+    found = search.restore(stages.match(pair, search.shifted_max_disparity, Clock()), width).disparity
     return np.where(found.measured, found.values, np.float32(np.nan))
 
 

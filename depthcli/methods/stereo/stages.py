@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from typing import ClassVar, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,12 @@ from depthcli.core.method import ConfigModel
 from depthcli.methods.confidence import MeasureName, confidence_maps
 from depthcli.methods.stereo.aggregation import Aggregation
 from depthcli.methods.stereo.cost import Cost
+from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.optimization import Optimization, Optimizer
+from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.refinement import Refinement, RefinementStep
+from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.volume import CostMinima, CostVolume, RefinementContext, StereoResult
 
 _TILE_HALO = 64  # pixels, for methods that do not declare one
@@ -100,6 +103,18 @@ class CostStages(ConfigModel):
             return None
         halos = (self.cost.halo(), 0 if self.aggregation is None else self.aggregation.halo())
         return None if halos[0] is None or halos[1] is None else halos[0] + halos[1]
+
+
+def quick_stages(*further: Refinement, window: int = 7, paths: Literal[4, 8] = 8) -> CostStages:
+    """Return stages for reduced pairs: census, scanlines, left-right check, and ``further`` steps of refinement.
+
+    ``window`` is the side of the census window, pixels.
+    """
+    return CostStages(
+        cost=Census(window=(window, window)),
+        optimization=Scanline(p1=25, p2=120, paths=paths, edge_threshold=15, edge_divisor=6),
+        refinement=(LeftRightCheck(), *further),
+    )
 
 
 def finish(

@@ -26,12 +26,9 @@ from depthcli.methods.stereo.adjustment.right_view import (
     estimate_row_shift,
     light_trust,
 )
-from depthcli.methods.stereo.cost.census import Census
-from depthcli.methods.stereo.optimization.scanline import Scanline
-from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
-from depthcli.methods.stereo.stages import CostStages, PairMatcher
+from depthcli.methods.stereo.stages import PairMatcher, quick_stages
 
 Adjust = Annotated[
     tuple[Literal["noise", "rows", "light"], ...],
@@ -44,12 +41,7 @@ Adjust = Annotated[
 
 # The match at the reduced size takes about a tenth of the time of `stereo accurate`.
 _MAX_PIXELS, _MAX_COSTS = 1 << 17, 1 << 24
-_STAGES = CostStages(
-    cost=Census(window=(7, 7)),
-    optimization=Scanline(p1=25, p2=120, edge_threshold=15, edge_divisor=6),
-    refinement=(LeftRightCheck(), SpeckleFilter(size=50), Subpixel()),
-)
-
+_STAGES = quick_stages(SpeckleFilter(size=50), Subpixel())
 _MIN_DISPARITIES = 3  # with one or two, the left-right check rejects nothing
 _MIN_MATCHES = 500  # enough for 6 coefficients and for gains that vary over the image
 _MIN_SHARE_OF_MATCHES = 0.9  # of the most matches so far: fewer mean that the last correction made the pair worse

@@ -19,12 +19,11 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.stereo.cost._fill import hamming_volume
-from depthcli.methods.stereo.cost.census import Census, census_transform
-from depthcli.methods.stereo.optimization.scanline import Scanline
+from depthcli.methods.stereo.cost.census import census_transform
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
-from depthcli.methods.stereo.stages import CostStages, PairMatcher
+from depthcli.methods.stereo.stages import CostStages, PairMatcher, quick_stages
 from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, PROCESS_BYTES, Candidates, Memory
 from depthcli.methods.stereo.tiling.tile_by_tile import Prior, match_by_costs, match_by_patches, refined_map
 from depthcli.methods.stereo.volume import StereoResult
@@ -40,14 +39,8 @@ _UNSURE_SHARE = 0.25  # of a block's pixels without agreement; above it, surroun
 _ROW_STEP, _ROW_WINDOW, _ROW_CELLS = 4, (7, 7), 1 << 25  # rows matched by themselves; their census; cells at a time
 _ROW_ISLAND_SIZE = 10  # pixels of these rows that must be connected
 _FAR_AWAY = np.float32(1e6)  # pixels, beyond every range: no thin structure
-
-
-# The stages at the smaller sizes for methods without cost stages: fast, and only values that both views agree on stay.
-_COARSE_STAGES = CostStages(
-    cost=Census(window=(7, 7)),
-    optimization=Scanline(p1=25, p2=120, edge_threshold=15, edge_divisor=6),
-    refinement=(LeftRightCheck(), SpeckleFilter(size=50), BackgroundFill()),
-)
+# The stages at the smaller sizes for methods without cost stages.
+_COARSE_STAGES = quick_stages(SpeckleFilter(size=50), BackgroundFill())
 
 
 def match_in_tiles(
