@@ -16,13 +16,15 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+from numpy.typing import NDArray
 from typer import Argument, Option
 
 from depthcli.commands._options import Printing, local_output
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.evaluation.benchmarks import Benchmark, Entry, Submission, benchmark
 from depthcli.evaluation.protocols import load
-from depthcli.io.formats.disparity import read_disparity
+from depthcli.io.formats.disparity import has_kitti_scale, read_disparity
 from depthcli.io.formats.files import atomic_path, collected_warnings, remove_temporaries
 from depthcli.io.formats.images import image_size
 from depthcli.run.records import read_report
@@ -54,13 +56,17 @@ def export(
         raise ConfigError(f"--split: must be {' or '.join(bench.scenes)} (got {split!r})")
     splits = [split] if split else list(bench.scenes)
     entries, problems = _find_maps(run, bench, splits, seconds)
+
+    def read(file: Path) -> NDArray[np.float32]:
+        return read_disparity(file, asks=not (bench.protocol.startswith("kitti") or has_kitti_scale(file)))
+
     sizes: dict[str, tuple[int, int]] = {}
     submission = Submission(method, sparse, sizes)
     with reporter.counting(len(entries), 0, "check"):
         for entry in entries:
             try:
                 with collected_warnings() as lines:
-                    disparity = read_disparity(entry.file)
+                    disparity = read(entry.file)
                 problems += [f"{entry.scene}: {reason}" for reason in bench.problems(entry, disparity, submission)]
                 sizes[entry.scene] = (disparity.shape[1], disparity.shape[0])
             except DepthcliError as error:
@@ -75,7 +81,7 @@ def export(
     if unknown := [entry.scene for entry in entries if entry.size is None]:
         reporter.info(f"sizes not checked, as the images are not known: {_named(unknown)}")
     remove_temporaries(output.parent, output.name)
-    names = _write_archive(output, (bench.files(e, read_disparity(e.file), submission) for e in entries))
+    names = _write_archive(output, (bench.files(e, read(e.file), submission) for e in entries))
     counts = {name: sum(entry.split == name for entry in entries) for name in splits}
     reporter.info(f"{output}: {len(names)} files, {', '.join(f'{n} {name}' for name, n in counts.items() if n)} scenes")
     if printing.json:

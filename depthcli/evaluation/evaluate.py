@@ -22,6 +22,7 @@ from depthcli.evaluation.curves import HiddenPixels, hidden_pixels
 from depthcli.evaluation.map_files import MapNaming, find_runs, names_in_run, recognized
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load, missing_scores, picture
 from depthcli.evaluation.scores import MapResult
+from depthcli.io.formats.disparity import ScaleError
 from depthcli.io.formats.files import collected_warnings, short_path, warn, write_text
 from depthcli.io.formats.images import write_drawn
 from depthcli.io.formats.map_format import format_plugins
@@ -258,10 +259,12 @@ class _Scoring:
 
         def fits(name: str, path: Path, options: MapNaming) -> bool:
             scene, protocol = usable[name]
-            with collected_warnings(), contextlib.suppress(DepthcliError):
-                self._reader(protocol, options).read(path, scene, protocol.truth(scene))
-                return True
-            return False
+            try:
+                with collected_warnings():
+                    self._reader(protocol, options).read(path, scene, protocol.truth(scene))
+            except DepthcliError as error:
+                return isinstance(error, ScaleError)  # the map itself is readable
+            return True
 
         files = {name: (protocol.files, names[name]) for name, (_, protocol) in usable.items()}
         for run, place in self.runs.items():

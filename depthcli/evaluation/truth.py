@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from depthcli.core.errors import InputError
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load
+from depthcli.io.formats.disparity import read_disparity
 from depthcli.io.scenes import RgbdScene, Scene, StereoScene
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes, scenes_with_files
 from depthcli.io.scenes.rows import Folder
@@ -66,7 +68,8 @@ def _scene_of_file(
     common: dict[str, Any] = {"name": truth.stem, "folder": truth.parent, "protocol": protocol.name}
     if issubclass(protocol.kind, StereoScene):
         codes = None if truth.suffix.lower() == ".pfm" else meta.positive("disp_scale") or settings.scale
-        return StereoScene(**common, left=truth, disparity_left=truth, disparity_scale=codes)
+        decode = partial(read_disparity, asks=not protocol.name.startswith("kitti"))
+        return StereoScene(**common, left=truth, disparity_left=truth, disparity_scale=codes, decode=decode)
     if issubclass(protocol.kind, RgbdScene):
         alone = RgbdScene(**common, color=truth, depth=truth, depth_true=truth, depth_scale=settings.scale)
         return alone.with_scale(meta.positive("depth_scale"))

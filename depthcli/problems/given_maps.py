@@ -32,7 +32,7 @@ from depthcli.evaluation.map_files import (
     names_in_run,
     recognized,
 )
-from depthcli.io.formats.disparity import check_sign, read_foreign_map, scale_of
+from depthcli.io.formats.disparity import check_sign, read_foreign_map, read_plane, scale_of
 from depthcli.io.formats.files import RECORD_FILE, collected_warnings
 from depthcli.io.formats.images import png_bytes, read_image, write_drawn
 from depthcli.io.formats.networks import network_path, read_errors, read_network
@@ -225,8 +225,8 @@ class Confidence(GivenMaps[MapConfidence]):
             raise InputError(f"{scene.left.parent}: no right image, without which there are no witnesses")
         images = read_image(scene.left) if scene.right is None else load_pair(scene)
         shape = (images.shape[0], images.shape[1])
-        maps = {one.run: loaded(one, shape) for one in scene.maps}
-        right = None if scene.right is None or scene.right_map is None else loaded(scene.right_map, shape)
+        maps = {one.run: loaded(one, shape, scene) for one in scene.maps}
+        right = None if scene.right is None or scene.right_map is None else loaded(scene.right_map, shape, scene)
         saving = {"share": self.config["keep"], "threshold": self.config["threshold"]}
         absent = [f"no map of {run}: judged without it" for run in scene.absent]
         return MapInputs(images, maps, self.max_disparity(scene), right, saving=saving, warnings=absent)
@@ -300,7 +300,7 @@ class FuseMaps(GivenMaps[Disparity]):
         """Return the pair and maps of a scene, with the status maps of this program's runs."""
         context.clock.start("load")
         pair = load_pair(scene)
-        maps = {one.run: loaded(one, pair.shape) for one in scene.maps}
+        maps = {one.run: loaded(one, pair.shape, scene) for one in scene.maps}
         status = {one.run: read_status(one.status) for one in scene.maps if one.status is not None}
         for name, codes in status.items():
             check_same_size(scene.folder / f"status.png of {name}", codes.shape, scene.left, pair.shape)
@@ -532,8 +532,7 @@ class _Run:
 
         def fits(name: str, path: Path, tried: MapNaming) -> bool:
             with collected_warnings(), contextlib.suppress(DepthcliError):
-                scale = scale_of(path, tried.scale, tried.any_scale)
-                return read_foreign_map(path, scale, tried.invalid).shape == view_size(usable[name])
+                return read_plane(path).shape == view_size(usable[name])
             return False
 
         usual = protocols.load("middlebury-v2")().files
@@ -544,9 +543,10 @@ class _Run:
         return replace(self, naming=found)
 
 
-def loaded(one: GivenMap, shape: tuple[int, ...]) -> NDArray[np.float32]:
+def loaded(one: GivenMap, shape: tuple[int, ...], scene: Scene) -> NDArray[np.float32]:
     """Return a map. Raise InputError if it cannot be read or differs in size from the images."""
-    values = read_foreign_map(one.path, one.scale, one.invalid)
+    is_kitti = scene.protocol.startswith("kitti")
+    values = read_foreign_map(one.path, one.scale, one.invalid, is_kitti=is_kitti)
     if values.shape != shape:
         height, width = values.shape
         raise InputError(f"{one.path}: {width} x {height}, but the images are {shape[1]} x {shape[0]}")

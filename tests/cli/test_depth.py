@@ -174,8 +174,8 @@ def test_a_single_map_of_far_things(tmp_path: Path, capsys):
     write_png(tmp_path / "left.png", np.full((20, 30), 90, np.uint8))
     (tmp_path / "calib.txt").write_text(KITTI)
     known = ("--calibration", tmp_path / "calib.txt", "--left", tmp_path / "left.png", "--ply")
-    for name in ("map.pfm", "map.png"):
-        assert run("depth", tmp_path / name, *known, "-o", tmp_path / name[-3:]) == 0
+    for name, scale in (("map.pfm", ()), ("map.png", ("--scale", "256"))):
+        assert run("depth", tmp_path / name, *known, *scale, "-o", tmp_path / name[-3:]) == 0
         depth = read_pfm(tmp_path / name[-3:] / "map/depth.pfm")
         np.testing.assert_allclose(depth[5, [0, 20]], [710 * 0.54 / 22, 710 * 0.54 / 2.5], rtol=1e-6)
         codes = cv2.imread(str(tmp_path / name[-3:] / "map/depth.png"), cv2.IMREAD_UNCHANGED)
@@ -261,8 +261,10 @@ def test_maps_of_other_programs(matched: tuple[Path, Path], tmp_path: Path, caps
         found, said = depth(name, *options)
         assert np.isfinite(found).mean() == 0.8 and found[0, 51] == pytest.approx(2)
         assert (says in said) if says else ("warning" not in said)
-    assert "uint16 disparities are divided by 256, as KITTI's (OpenCV's have 16); --scale" in depth("codes.png")[1]
     by_hand = ("--focal", "400", "--baseline", "0.1", "-o", tmp_path / "none", "-q")
+    assert run("depth", tmp_path / "codes.png", *by_hand) == 3
+    said = capsys.readouterr().err
+    assert all(word in said for word in ("codes.png", "2050", "8.008 px", "--scale 256", "128.1 px", "--scale 16"))
     assert run("depth", tmp_path / "raft.npy", *by_hand) == 3
     assert "most disparities are negative" in capsys.readouterr().err
     assert run("depth", matched[1], "--scale", "16", "-o", tmp_path / "none", "-q") == 2

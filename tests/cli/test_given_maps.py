@@ -9,7 +9,7 @@ import pytest
 import depthcli
 from depthcli.core.maps import Status
 from depthcli.io.formats.disparity import read_pfm, write_pfm
-from depthcli.io.formats.images import read_image
+from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.status import read_status
 from tests.command_line import contents, refused, rows, run
 
@@ -278,3 +278,30 @@ def test_a_map_outside_of_what_the_images_allow_is_found_wrong(two_scenes: Path)
     for wrong in (0 * truth, truth / 64, truth / 16, 4 * truth):
         assert depthcli.map_confidence(left, right, wrong).probability.mean() < 0.1
     assert depthcli.map_confidence(left, right, truth).probability.mean() > 0.7
+
+
+@pytest.mark.parametrize("command", [("confidence",), ("fuse", "maps"), ("evaluate",), ("export",)])
+def test_16_bit_codes_of_other_programs_need_a_scale(two_scenes: Path, tmp_path: Path, capsys, command):
+    """Codes of KITTI and OpenCV look alike; only a folder for KITTI's server, or a run, says whose they are."""
+    name = NAMES[0]
+    codes = np.rint(read_pfm(two_scenes / name / "disp_left.pfm") * 16).astype(np.uint16)
+    write_png(tmp_path / "sgm" / f"{name}.png", codes)
+    write_png(tmp_path / "sgm" / "delivery_area_1l.png", codes)
+    write_png(tmp_path / "kitti" / "disp_0" / f"{name}.png", codes * np.uint16(16))
+
+    def result(folder: str, *options: str) -> tuple[int, str]:
+        maps, out = tmp_path / folder, ("-o", tmp_path / f"out_{folder}{len(options)}")
+        line = ("-i", two_scenes, "--maps", maps, "--scenes", name)
+        if command == ("export",):
+            line = (maps, "--for", "eth3d", "--method", "x", "--seconds", "1")
+        elif command == ("evaluate",):
+            line = (maps, "--truth", two_scenes, "--scenes", name)
+        return run(*command, *line, *out, *options), capsys.readouterr().err
+
+    code, said = result("sgm")
+    assert code in (2, 3)
+    assert [word for word in (".png: uint16", str(codes.max()), "--scale 256") if word not in said] == [], said
+    if command != ("export",):
+        assert result("sgm", "--scale", "16")[0] == 0
+        code, said = result("kitti")
+        assert code == 0 and "uint16" not in said

@@ -133,7 +133,7 @@ def test_maps_of_other_programs(tmp_path: Path, truth: Path):
     codes = np.rint(good * 8).astype(np.uint8)
     flat = tmp_path / "flat"
     write_png(flat / "a.png", codes)  # Middlebury-scaled, 8 bit
-    write_disparity_png(flat / "b.png", good)  # KITTI, 16 bit
+    np.save(flat / "b.npy", np.rint(good * 16).astype(np.int16))  # OpenCV, 16 bit
     kit = tmp_path / "kit"
     write_pfm(kit / "a" / "disp0ours.pfm", good)
     write_pfm(kit / "a" / "disp0ours_s.pfm", good + 5)
@@ -422,6 +422,7 @@ def test_files_called_depth_are_no_disparities(tmp_path: Path, capsys, name: str
     for file in (tmp_path / "a" / f"{name}.png", tmp_path / "b" / f"{true}.png"):
         write_png(file, np.full(SHAPE, 700, np.uint16))
     line = ["evaluate", str(tmp_path / "a" / f"{name}.png"), "--truth", str(tmp_path / "b" / f"{true}.png"), "--json"]
+    line += ["--scale", "256"]
     assert main(line) == 0
     printed = capsys.readouterr()
     assert json.loads(printed.out)["results"][0]["protocol"] == protocol

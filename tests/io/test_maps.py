@@ -3,6 +3,7 @@
 import struct
 import tempfile
 import zlib
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -18,6 +19,7 @@ from depthcli.core.cameras.kinect import kinect_v1
 from depthcli.core.errors import InputError
 from depthcli.io.formats.depth import SENSOR, implausible_depth, read_depth, write_depth_png, write_points
 from depthcli.io.formats.disparity import (
+    ScaleError,
     encode_pfm,
     known_truth,
     read_disparity,
@@ -107,6 +109,11 @@ def test_codes_are_divided_by_their_scale(tmp_path: Path):
     write_png(path, np.array([[0, 256, 640]], np.uint16))
     np.testing.assert_array_equal(read_disparity(path, scale_8bit=8), np.array([[np.nan, 1, 2.5]], np.float32))
     assert read_image(path).dtype == np.uint16
+    for read in (read_foreign_map, partial(read_disparity, asks=True)):
+        refused(ScaleError, r"a\.png: uint16 .*--scale 256.*--scale 16", read, path)
+    for known in (path, tmp_path / "disp_0" / "a.png"):
+        write_png(known, np.array([[0, 256, 640]], np.uint16))
+        np.testing.assert_array_equal(read_foreign_map(known, is_kitti=known == path), [[np.nan, 1, 2.5]])
 
 
 @pytest.mark.parametrize("dtype", ["i4", "u4", "i8", "u1", "i1", "?"])

@@ -23,7 +23,8 @@ KITTI_SCALE = 256.0
 OPENCV_SCALE = 16.0
 """Codes per pixel of OpenCV's signed 16-bit disparities (``StereoSGBM``, ``StereoBM``)."""
 
-_SAY_SCALE = "--scale gives another (of ground truth: disp_scale in meta.json)"
+_OF_TRUTH = "(of ground truth: disp_scale in meta.json)"
+_KITTI_FOLDERS = ("disp_0", "disp_1")  # of maps for KITTI's server
 _MAX_BEHIND = 0.5  # largest share of negative disparities
 _NPZ_MAGIC = b"PK\x03\x04"
 _MAX_UNPACKED_BYTES = 1 << 30  # largest array in an .npz file; the largest images take as much
@@ -110,6 +111,15 @@ def _mark_of(known: NDArray[np.float32], shape: tuple[int, ...]) -> np.float32 |
     return None
 
 
+class ScaleError(InputError):
+    """Raised for unsigned 16-bit disparities of unknown scale, which may be KITTI's, OpenCV's or others."""
+
+
+def has_kitti_scale(path: Path | str) -> bool:
+    """Return whether a map is of a run of this program, or in a folder for KITTI's server."""
+    return is_of_a_run(path) or Path(path).parent.name in _KITTI_FOLDERS
+
+
 def scale_of(path: Path | str, scale: float | None, any_kind: bool) -> float | None:
     """Return the scale for reading a map: None for PFM, unless the scale applies to ``any_kind`` of file."""
     return scale if any_kind or Path(path).suffix.lower() != ".pfm" else None
@@ -120,14 +130,14 @@ def read_foreign_map(
     scale: float | None = None,
     invalid: float | None = None,
     scale_8bit: float | None = None,
-    says_scale: bool = True,
+    is_kitti: bool = False,
 ) -> NDArray[np.float32]:
     """Return a disparity map of any program as :func:`read_disparity` does; all commands read maps with this function.
 
-    If ``invalid`` is None, :func:`foreign_constants` mean no value, with a warning; NaN keeps them. Without
-    ``says_scale``, KITTI's scale is used for 16-bit codes without a warning, since the ground truth has it.
+    If ``invalid`` is None, :func:`foreign_constants` mean no value, with a warning; NaN keeps them. Unsigned 16-bit
+    codes have KITTI's scale if ``is_kitti``, in a run, and in a folder for KITTI's server; otherwise ``asks`` is set.
     """
-    disparity = read_disparity(path, scale, scale_8bit, invalid, says_scale and not is_of_a_run(path))
+    disparity = read_disparity(path, scale, scale_8bit, invalid, not (is_kitti or has_kitti_scale(path)))
     for constant in foreign_constants(path, disparity) if invalid is None else ():
         disparity[constant.marked] = np.nan
         warn(f"{shown(path)}: {constant}: taken as no value (--invalid nan keeps them)")
@@ -158,30 +168,32 @@ def read_disparity(
     scale: float | None = None,
     scale_8bit: float | None = None,
     invalid: float | None = None,
-    says_scale: bool = False,
+    asks: bool = False,
 ) -> NDArray[np.float32]:
     """Return a disparity map, (H, W) float32, pixels, NaN = unknown.
 
     PFM, float npy and float TIFF are in pixels, unless ``scale`` is given. Integer codes (PNG, PGM, integer npy) are
-    divided by ``scale``, codes per pixel. Its default is 256 for unsigned 16-bit codes (KITTI), with a warning if
-    ``says_scale``; 16 for signed ones (OpenCV), with a warning; and ``scale_8bit`` for 8-bit codes. Raise InputError
-    for other integers without a scale. :func:`without_value` defines which stored numbers are unknown.
+    divided by ``scale``, codes per pixel. Its default is 256 for unsigned 16-bit codes (KITTI), but none (ScaleError)
+    if ``asks``; 16 for signed ones (OpenCV), with a warning; and ``scale_8bit`` for 8-bit codes. Raise InputError for
+    other integers without a scale. :func:`without_value` defines which stored numbers are unknown.
     """
     values = read_plane(path)
     if values.dtype.kind == "b":
         raise InputError(f"{shown(path)}: true or false, expected disparities")
-    codes = values.dtype.kind in "iu"
+    codes, kind, name = values.dtype.kind in "iu", values.dtype.str[1:], shown(path)
     if scale is None and codes:
-        scale = {"u1": scale_8bit, "u2": KITTI_SCALE, "i2": OPENCV_SCALE}.get(values.dtype.str[1:])
-        if scale is None:
-            kind = "8-bit" if values.dtype.itemsize == 1 else values.dtype
-            raise InputError(
-                f"{shown(path)}: {kind} disparities need a scale (codes per pixel): --scale (of ground truth: "
-                "disp_scale in meta.json)"
+        if kind == "u2" and asks and (top := int(values.max())):
+            raise ScaleError(
+                f"{name}: uint16 disparities of unknown scale: the largest code, {top}, is {top / KITTI_SCALE:.4g} px "
+                f"in KITTI's files (--scale 256), {top / OPENCV_SCALE:.4g} px in OpenCV's (--scale 16) {_OF_TRUTH}; or "
+                "store pixels, as PFM"
             )
-        if values.dtype.itemsize > 1 and (says_scale or values.dtype.kind == "i"):
-            whose = "OpenCV's" if values.dtype.kind == "i" else "KITTI's (OpenCV's have 16)"
-            warn(f"{shown(path)}: {values.dtype} disparities are divided by {scale:g}, as {whose}; {_SAY_SCALE}")
+        scale = {"u1": scale_8bit, "u2": KITTI_SCALE, "i2": OPENCV_SCALE}.get(kind)
+        if scale is None:
+            bits = "8-bit" if values.itemsize == 1 else values.dtype
+            raise InputError(f"{name}: {bits} disparities need a scale (codes per pixel): --scale {_OF_TRUTH}")
+        if kind == "i2":
+            warn(f"{name}: int16 disparities are divided by 16, as OpenCV's; --scale gives another {_OF_TRUTH}")
     with np.errstate(all="ignore"):  # infinite results are unknown, like infinite values
         exact = values / np.float64(scale) if codes else values.astype(np.float32) / np.float32(scale or 1)
         disparity = exact.astype(np.float32)
