@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import glob
 import itertools
 import os
 import re
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from depthcli.core.text import without_secrets
 from depthcli.io.calibration_photos import SIDES, without_word
 from depthcli.io.formats.disparity import KITTI_SCALE, read_disparity, read_plane
 from depthcli.io.formats.files import naming, read_bytes
-from depthcli.io.formats.images import read_image
+from depthcli.io.formats.images import IMAGE_SUFFIXES, read_image
 from depthcli.io.formats.plain_text import json_object, key_values, numbers, table_rows, text_of
 from depthcli.io.formats.videos import VIDEO_SUFFIXES, frames_and_rate
 from depthcli.io.scenes.kinds import FRAMES, LEFT_RIGHT, MAX_DISPARITY, TOP_BOTTOM, Scene, StereoScene
@@ -32,8 +33,7 @@ from depthcli.io.scenes.rows import (
     Found,
     LayoutRow,
     Layouts,
-    Match,
-    matches,
+    dropped,
     name_of_file,
 )
 
@@ -312,7 +312,7 @@ PAIRS = Layouts.of(
         files=({"left": "{frame}.left.jpg", "right": "{frame}.right.jpg", "name": "{frame}",
                 "disparity_left": "{frame}.left.depth.png"},),
     ),
-    LayoutRow(
+    LayoutRow(  # its development kit (argoverse-api) divides the codes of 16-bit PNGs by 256, too; 0 is unknown
         title="argoverse-stereo", protocol="kitti_2015", values=_KITTI_VALUES,
         wants="`rectified_stereo_images_v1.1/**/stereo_front_left_rect/stereo_front_left_rect_TIME.jpg`, "
         "`stereo_front_right_rect`, `disparity_maps_v1.1/**/stereo_front_left_rect_disparity` (Argoverse 1)",
@@ -396,47 +396,40 @@ _MAX_RATE_DIFFERENCE = 0.005  # largest relative difference of two frame rates; 
 _MAX_FOLDERS = 8  # folders to search for two with matching images
 
 
-def _of_patterns(found: Found) -> dict[str, Any]:
-    """Return the folder of a pair from two patterns, and a problem if one image is missing."""
-    file = found.files.get("left") or found.files["right"]
-    if len(found.files) == 2:
-        return {"folder": file.parent}
-    absent = "right" if "left" in found.files else "left"
-    return {"folder": file.parent, "left": file, "problem": f"{file}: no {absent} image belongs to it"}
-
-
-def _last_number(match: Match) -> str:
-    number = re.search(r"(\d+)\D*$", match.path)
-    return number[1] if number else ""
-
-
-_NAMED = LayoutRow(
-    title="", wants="files that the command line names", facts=_of_patterns, either=True,
-    # Images match if the texts of the wildcards are equal without the words for left and right, as in left_0001 and
-    # right_0001. If no images match, whole paths are compared in the same way, and then their last numbers.
-    alike=(
-        lambda match: without_word(match.captured, SIDES), lambda match: without_word(match.path, SIDES), _last_number,
-    ),
-)  # fmt: skip
+# Keys of an image of a pattern, from the texts of its wildcards and from its path: two images with the same key are a
+# pair. Words for left and right, as in left_0001 and right_0001, do not count. The first key with any pair is used.
+_KEYS: tuple[Callable[[str, str], str], ...] = (
+    lambda captured, path: without_word(captured, SIDES),
+    lambda captured, path: without_word(path, SIDES),
+    lambda captured, path: number[1] if (number := re.search(r"(\d+)\D*$", path)) else "",
+)
 
 
 def named_pairs(values: Mapping[str, Any]) -> list[Scene]:
-    """Return the pairs that ``left`` and ``right`` name: two images, patterns, folders or videos."""
-    left, right = values.get("left"), values.get("right")
-    halves = values.get("halves")
+    """Return the pairs that ``left`` and ``right`` name: two images, patterns, folders or videos.
+
+    With ``halves``, or for an MPO file, the files of ``left`` hold both views.
+    """
+    left, right, halves = (values.get(name) for name in ("left", "right", "halves"))
     if halves is not None and halves not in (LEFT_RIGHT, TOP_BOTTOM):
         raise ConfigError(f"--halves: must be {LEFT_RIGHT} or {TOP_BOTTOM} (got {halves[:40]!r})")
     if halves is not None and (left is None or right is not None):
         raise ConfigError("--halves goes with --left alone, whose files hold both views")
-    if left is not None and right is None and (halves or left.suffix.lower() == ".mpo"):
-        return _both_in_one(left, halves or FRAMES)
     if left is None and right is None:
         return []
+    if left is not None and right is None and (halves or left.suffix.lower() == ".mpo"):
+        right, halves = left, halves or FRAMES
+        if _is_many(left):
+            files = [image.file for image in _images(left)]
+            names = [file.stem for file in files]
+            if len(set(names)) < len(names):
+                names = ["_".join(file.with_suffix("").parts[-2:]) for file in files]
+            return [_named(name, file, file, halves=halves) for name, file in zip(names, files, strict=True)]
     if left is None or right is None:
         raise ConfigError("--left needs --right, too" if right is None else "--right needs --left, too")
-    if _is_many(left) or _is_many(right):
+    if not halves and (_is_many(left) or _is_many(right)):
         return [*pairs_of_patterns(left, right)]
-    one = _named(name_of_file(left, *_GENERIC_NAMES), left, right)
+    one = _named(name_of_file(left, *_GENERIC_NAMES), left, right, halves=halves or "")
     if left.suffix.lower() not in VIDEO_SUFFIXES:
         return [one]
     try:
@@ -462,31 +455,9 @@ def named_pairs(values: Mapping[str, Any]) -> list[Scene]:
     ]
 
 
-def _both_in_one(path: Path, halves: str) -> list[Scene]:
-    """Return the pairs of files that hold both views: of an image, a video, a pattern or a folder."""
-    if _is_many(path):
-        name = str(path / "*" if os.path.isdir(path) else path)
-        files = [match.file for match in matches(Folder(Path(), "", ""), "left", name, wild=True)]
-        if not files:
-            raise ConfigError(f"{path}: matches no image")
-        names = [file.stem for file in files]
-        if len(set(names)) < len(names):
-            names = ["_".join(file.with_suffix("").parts[-2:]) for file in files]
-        return [_named(name, file, file, halves=halves) for name, file in zip(names, files, strict=True)]
-    one = _named(name_of_file(path, *_GENERIC_NAMES), path, path, halves=halves)
-    if path.suffix.lower() not in VIDEO_SUFFIXES:
-        return [one]
-    try:
-        count, _ = frames_and_rate(path)
-    except InputError as error:
-        raise ConfigError(str(error)) from None
-    digits = max(6, len(str(count)))
-    return [replace(one, name=f"{number:0{digits}}", frame_number=number) for number in range(count)]
-
-
 def _named(name: str, left: Path, right: Path, **values: Any) -> StereoScene:
     """Return the pair of two files, which need not exist."""
-    return cast(StereoScene, _NAMED.scene(Folder(left.parent, name, ""), left=left, right=right, **values))
+    return StereoScene(name=name, folder=left.parent, left=left, right=right, **values)
 
 
 def _is_many(path: Path) -> bool:
@@ -494,23 +465,71 @@ def _is_many(path: Path) -> bool:
     return os.path.isdir(path) or (bool(_WILD.search(str(path))) and not os.path.lexists(path))
 
 
+class _Image(NamedTuple):
+    """An image of a pattern."""
+
+    file: Path
+    captured: str  # texts of the wildcards, without the ending
+    path: str  # from the first part with a wildcard on, without the ending
+
+
+def _images(place: Path) -> list[_Image]:
+    """Return the images of a pattern or a folder, sorted. Raise ConfigError if there are none."""
+    pattern = place / "*" if os.path.isdir(place) else place
+    expressions = [re.compile(_with_groups(part)) for part in pattern.parts]
+    first = next((k for k, part in enumerate(pattern.parts) if _WILD.search(part)), 0)
+    images = []
+    for file in sorted(map(Path, glob.glob(str(pattern)))):
+        if file.suffix.lower() in IMAGE_SUFFIXES:
+            matches = (one.fullmatch(part) for one, part in zip(expressions, file.parts, strict=True))
+            texts = ("".join(match.groups()) for match in matches if match)
+            captured = "/".join(filter(None, texts)).removesuffix(file.suffix)
+            images.append(_Image(file, captured, str(Path(*file.parts[first:]).with_suffix(""))))
+    if not images:
+        query = "; a query behind its URL is read of archives alone" if ":/" in str(place) else ""
+        raise ConfigError(f"{place}: matches no image{query}")
+    return images
+
+
+def _with_groups(part: str) -> str:
+    """Return the regular expression for a part of a pattern, with a group for each wildcard."""
+    groups = {"*": "(.*)", "?": "(.)"}
+    pieces = re.split(r"(\*+|\?|\[[^\]]+\])", part)
+    pieces[1::2] = [groups.get(each[0]) or f"({each.replace('[!', '[^', 1)})" for each in pieces[1::2]]
+    pieces[::2] = map(re.escape, pieces[::2])
+    return "".join(pieces)
+
+
+def _by_key(images: Sequence[_Image], key: Callable[[str, str], str]) -> dict[str, Path]:
+    """Return key -> image; images that share a key are left out, so that no wrong pair arises."""
+    keys = [key(image.captured, image.path) for image in images]
+    count = Counter(keys)
+    return {key: image.file for key, image in zip(keys, images, strict=True) if key and count[key] == 1}
+
+
 def pairs_of_patterns(left: Path, right: Path) -> list[StereoScene]:
     """Return the pairs of two patterns such as ``left/*.png`` and ``right/*.png``, or of two folders.
 
     An image without a partner is a pair with a problem. Raise ConfigError if no two images match.
     """
-    here = Folder(Path(), "", "")
-    names = [str(path / "*" if os.path.isdir(path) else path) for path in (left, right)]
-    row = replace(_NAMED, files=({"left": names[0], "right": names[1], "name": "{name}"},))
-    if scenes := row.scenes(here):
-        return cast(list[StereoScene], scenes)
-    images = []
-    for path, name in zip((left, right), names, strict=True):
-        images.append(matches(here, "left", name, wild=True))
-        if not images[-1]:
-            query = "; a query behind its URL is read of archives alone" if ":/" in str(path) else ""
-            raise ConfigError(f"{path}: matches no image{query}")
-    raise ConfigError(f"{left} and {right}: no two names belong together ({images[0][0].file.name}, ...)")
+    images = _images(left), _images(right)
+    for key in _KEYS:
+        lefts, rights = (_by_key(some, key) for some in images)
+        if lefts.keys() & rights.keys():
+            break
+    else:
+        raise ConfigError(f"{left} and {right}: no two names belong together ({images[0][0].file.name}, ...)")
+    scenes = {}
+    for name in lefts | rights:
+        file = lefts.get(name) or rights[name]
+        absent = "right" if name not in rights else "left" if name not in lefts else ""
+        problem = f"{file}: no {absent} image belongs to it" if absent else ""
+        scenes[name] = StereoScene(name=name, folder=file.parent, left=file, right=rights.get(name), problem=problem)
+    views = {name: {"left": lefts.get(name), "right": rights.get(name)} for name in scenes}
+    there = {name: {role: file for role, file in of.items() if file is not None} for name, of in views.items()}
+    for name, line in dropped(("left", "right"), there).items():
+        scenes[name] = replace(scenes[name], warnings=(line,))
+    return list(scenes.values())
 
 
 def suggested_patterns(folder: Path) -> tuple[str, str] | None:
@@ -523,10 +542,7 @@ def suggested_patterns(folder: Path) -> tuple[str, str] | None:
             continue
         # With two images in each folder, each folder may just as well be a pair.
         if len(pairs) not in (0, 2):
-            suffixes = []
-            for place in both:
-                images = matches(Folder(Path(), "", ""), "left", f"{place}/*", wild=True)
-                suffixes.append(Counter(image.file.suffix for image in images).most_common(1)[0][0])
+            suffixes = [Counter(image.file.suffix for image in _images(place)).most_common(1)[0][0] for place in both]
             return f"{both[0]}/*{suffixes[0]}", f"{both[1]}/*{suffixes[1]}"
     return None
 

@@ -4,8 +4,6 @@
 frame. A placeholder matches a part of a name: ``{number}`` matches digits or a time, ``{_}`` any text that the other
 files need not repeat, and ``{path}`` any folders between. ``.*`` at the end stands for the endings that the role
 allows, and ``|`` separates alternatives, tried in turn. A row without placeholders describes the folder as one scene.
-
-The names of a row with ``alike`` are paths with shell wildcards, as users type them.
 """
 
 from __future__ import annotations
@@ -42,14 +40,13 @@ NUMBER = r"\d{9,}\.\d+|\d+"
 _DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".pfm", ".npy", ".exr")
 _MAX_POSITIVE, _MAX_WHOLE = 1e6, 1 << 20  # limits of numbers in meta.json; no image is as wide
 _PLACEHOLDER = re.compile(r"\{(\w+)\}")
-_WILDCARD = re.compile(r"(\*+|\?|\[[^\]]+\])")
 _MASK = "mask."  # prefix of the role of one mask
 _MASKS = "masks"  # role of all masks; ``{mask}`` is the name
 _OWN_FIELDS = ("folder", "layout", "problem")  # scene fields that a user's layout cannot set
 _VIEWS = {StereoScene: ("left", "right"), RgbdScene: ("color", "depth")}
 
 Texts = dict[str, str]
-"""Placeholder -> its text in a path. For wildcards: index of a path's part -> text of its wildcards."""
+"""Placeholder -> its text in a path."""
 _Key = tuple[tuple[str, str], ...]  # items of Texts
 
 
@@ -245,23 +242,6 @@ def layout_plugins(scenes: Iterable[Scene]) -> set[Plugin]:
     return plugins_of(kind for name, kind in PLUGINS.added.items() if name.replace("_", "-") in names)
 
 
-class Match(NamedTuple):
-    """A file whose path fits a name with placeholders, or a pattern with wildcards."""
-
-    file: Path
-    texts: Texts
-
-    @property
-    def captured(self) -> str:
-        """The texts of a pattern's wildcards, without the file's ending."""
-        return "/".join(filter(None, self.texts.values())).removesuffix(self.file.suffix)
-
-    @property
-    def path(self) -> str:
-        """The path from the first part with a wildcard on, without the ending."""
-        return str(Path(*self.file.parts[-len(self.texts) :]).with_suffix(""))
-
-
 class Found(NamedTuple):
     """The files of one scene that a row found in a folder."""
 
@@ -282,9 +262,6 @@ class LayoutRow(Layout):
     kind, protocol : kind and evaluation protocol of the scenes
     facts : returns further fields of a scene, or None if the scene does not have this layout
     needs, without : shell patterns of names; the folder must have all of ``needs`` and none of ``without``
-    alike : if given, the names of the two images are patterns. Two images match if a function returns the same text
-        for both, which becomes the scene's name. The first function with any match is used, and images that share a
-        text with another image of the same view are dropped. If empty, images match if their placeholders do
     """
 
     title: str  # name on the command line
@@ -296,7 +273,6 @@ class LayoutRow(Layout):
     facts: Callable[[Found], dict[str, Any] | None] = lambda found: {}
     needs: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
-    alike: tuple[Callable[[Match], str], ...] = ()
     either: bool = False  # one image makes a scene, which has a problem if the other image is missing
     single: bool = False  # a left image with ground truth is a valid scene, and so is depth without color
 
@@ -306,14 +282,14 @@ class LayoutRow(Layout):
 
     def scenes(self, folder: Folder) -> list[Scene]:
         scenes: dict[str, Scene] = {}
-        for variant in self.files if self.alike else _possible(self, folder.names):
+        for variant in _possible(self, folder.names):
             views_of: dict[str, dict[str, Path]] = {}
             for texts, views in self._pairs(folder, variant):
                 scene = self._scene(folder, variant, texts, views)
                 if scene is not None and scene.name not in scenes:
                     scenes[scene.name] = scene
                     views_of[scene.name] = views
-            for name, line in _dropped(self._views, views_of).items():
+            for name, line in dropped(self._views, views_of).items():
                 scenes[name] = replace(scenes[name], warnings=(*scenes[name].warnings, line))
         return list(scenes.values())
 
@@ -324,18 +300,12 @@ class LayoutRow(Layout):
     def _pairs(self, folder: Folder, variant: Mapping[str, str]) -> Iterator[tuple[Texts, dict[str, Path]]]:
         """Yield the placeholders and the images of every scene."""
         first, second = self._views
-        is_of_many = bool(self.alike) or "{" in variant.get(second, "")
-        one = matches(folder, first, variant.get(first, ""), wild=bool(self.alike))
-        if not one and (not self.either or is_of_many):
+        lefts = _by_texts(folder, first, variant.get(first, ""))
+        if not lefts and (not self.either or "{" in variant.get(second, "")):
             return  # before the second image is searched: its name may make no sense in this folder
-        other = matches(folder, second, variant.get(second, ""), wild=bool(self.alike))
-        for alike in self.alike or (None,):
-            lefts, rights = _by_texts(one, alike), _by_texts(other, alike)
-            if lefts.keys() & rights.keys():
-                break
-        else:
-            if self.either and is_of_many:
-                return
+        rights = _by_texts(folder, second, variant.get(second, ""))
+        if self.either and "{" in variant.get(second, "") and not lefts.keys() & rights.keys():
+            return
         for key in {**lefts, **rights} if self.either else lefts:
             texts, views = dict(key), dict[str, Path]()
             if key in lefts:
@@ -350,8 +320,8 @@ class LayoutRow(Layout):
         files, masks = dict(views), {}
         for role, names in variant.items():
             if role == _MASKS:
-                for match in matches(folder, role, _filled(names, texts) if texts else names):
-                    masks[match.texts["mask"]] = match.file
+                for match, mask in _matches(folder, role, _filled(names, texts) if texts else names):
+                    masks[match["mask"]] = mask
             elif role not in self._views and role != "name" and (file := _file(folder, role, names, texts)) is not None:
                 if role.startswith(_MASK):
                     masks[role.removeprefix(_MASK)] = file
@@ -378,7 +348,7 @@ class LayoutRow(Layout):
         return {"problem": f"{there}: {half}, no {name}", absent: expected}
 
 
-def _dropped(roles: tuple[str, str], scenes: Mapping[str, Mapping[str, Path]]) -> dict[str, str]:
+def dropped(roles: tuple[str, str], scenes: Mapping[str, Mapping[str, Path]]) -> dict[str, str]:
     """Return name -> warning for pairs from two gapless folders of numbered frames with different numbers.
 
     A frame may have been dropped in one folder and the later frames renumbered. A gap would show which one is missing.
@@ -469,100 +439,73 @@ def _file(folder: Folder, role: str, names: str, texts: Mapping[str, str]) -> Pa
     return None
 
 
-def matches(folder: Folder, role: str, names: str, wild: bool = False) -> list[Match]:
+def _matches(folder: Folder, role: str, names: str) -> list[tuple[Texts, Path]]:
     """Return the files of a role below a folder that match the first of the names with any match.
 
-    Names have placeholders; ``.*`` at the end matches the endings that the role allows. If ``wild``, ``names`` is one
-    pattern with wildcards and matches images only.
+    Names have placeholders; ``.*`` at the end matches the endings that the role allows.
     """
-    files = []
-    for name in (names,) if wild else names.split("|"):
-        open_part = (_WILDCARD if wild else _PLACEHOLDER).search(name)
-        if open_part is None and not wild:
+    for name in names.split("|"):
+        if (placeholder := _PLACEHOLDER.search(name)) is None:
             if (file := _file(folder, role, name, {})) is not None:
-                return [Match(file, {})]
+                return [({}, file)]
             continue
-        head, slash, _ = name[: open_part.start() if open_part else len(name)].rpartition("/")
+        head, slash, _ = name[: placeholder.start()].rpartition("/")
         root = folder.below(head)
-        if wild:  # keep the paths as they were typed
-            path = folder.path / (head + slash)
-            root = Folder(path, "", "") if os.path.isdir(path) else None
         *parts, last = name[len(head + slash) :].split("/")
         places: list[tuple[Texts, Folder]] = [] if root is None else [({}, root)]
-        for level, part in enumerate(parts):
-            inside = ((texts, _folders(place, part, str(level) if wild else "")) for texts, place in places)
-            places = [(texts | more, place) for texts, below in inside for more, place in below]
-        any_suffix = last.endswith(".*") and not wild
-        pattern = _pattern(last.removesuffix(".*") if any_suffix else last, wild)
-        suffixes = _suffixes(role)
+        for part in parts:
+            places = [(texts | more, inside) for texts, place in places for more, inside in _folders(place, part)]
+        any_suffix = last.endswith(".*")
+        pattern, suffixes = _pattern(last.removesuffix(".*") if any_suffix else last), _suffixes(role)
+        files = []
         for texts, place in places:
             for entry in sorted(place.names):
                 stem, suffix = os.path.splitext(entry)
                 match = pattern.fullmatch(stem if any_suffix else entry)
-                if match is not None and (suffix.lower() in suffixes or not (any_suffix or wild)):
-                    files.append(Match(place.path / entry, texts | _texts(match, str(len(parts)) if wild else "")))
+                if match is not None and (suffix.lower() in suffixes or not any_suffix):
+                    files.append((texts | _texts(match), place.path / entry))
         if files:
-            break
-    return files
+            return files
+    return []
 
 
-def _folders(folder: Folder, part: str, level: str) -> Iterator[tuple[Texts, Folder]]:
+def _folders(folder: Folder, part: str) -> Iterator[tuple[Texts, Folder]]:
     """Yield the placeholders and folder of each matching subfolder; ``{path}`` matches ``folder`` itself, too."""
-    if part == "{path}" and not level:
+    if part == "{path}":
         yield {"path": ""}, folder
         for path in sorted(path for path in folder.path.rglob("[!.]*") if path.is_dir()):
             yield {"path": path.relative_to(folder.path).as_posix()}, Folder(path, folder.name, folder.prefix)
         return
-    pattern = _pattern(part, bool(level))
-    for name in folder.folders if level or "{" in part else (part,):
+    pattern = _pattern(part)
+    for name in folder.folders if "{" in part else (part,):
         match = pattern.fullmatch(name)
         if match is not None and (place := folder.below(name)) is not None:
-            yield _texts(match, level), place
+            yield _texts(match), place
 
 
-def _texts(match: re.Match[str], level: str) -> Texts:
-    """Return the texts of placeholders, or of the wildcards at a level of the path. Numbers lose leading zeros."""
-    if level:
-        return {level: "".join(match.groups())}
+def _texts(match: re.Match[str]) -> Texts:
+    """Return the texts of placeholders; numbers lose leading zeros."""
     texts = match.groupdict()
     if texts.get("number", "").isdigit():
         texts["number"] = str(int(texts["number"]))
     return texts
 
 
-def _by_texts(files: Iterable[Match], alike: Callable[[Match], str] | None) -> dict[_Key, Path]:
-    """Return texts -> file; the texts are of all placeholders, or ``name`` with the text that ``alike`` returns.
-
-    Raise InputError if two files have the same placeholders. Files that share a text of ``alike`` are dropped, so that
-    no wrong pair arises.
-    """
+def _by_texts(folder: Folder, role: str, names: str) -> dict[_Key, Path]:
+    """Return texts of the placeholders -> file. Raise InputError if two files have the same."""
     by_texts: dict[_Key, Path] = {}
-    twice = set()
-    for match in files:
-        texts = tuple(match.texts.items()) if alike is None else (("name", alike(match)),)
-        if (other := by_texts.setdefault(texts, match.file)) is not match.file:
-            if alike is None:
-                raise InputError(f"{match.file.parent}: both {other.name} and {match.file.name}; keep one")
-            twice.add(texts)
-    if alike is None:
-        return by_texts
-    return {texts: file for texts, file in by_texts.items() if texts[0][1] and texts not in twice}
+    for texts, file in _matches(folder, role, names):
+        if (other := by_texts.setdefault(tuple(texts.items()), file)) is not file:
+            raise InputError(f"{file.parent}: both {other.name} and {file.name}; keep one")
+    return by_texts
 
 
 @lru_cache
-def _pattern(name: str, wild: bool) -> re.Pattern[str]:
-    """Return the regular expression for a part of a name with placeholders or wildcards."""
-    groups = []
-    for number, piece in enumerate((_WILDCARD if wild else _PLACEHOLDER).split(name)):
-        if number % 2 == 0:
-            groups.append(re.escape(piece))
-        elif not wild:
-            groups.append({"number": rf"(?P<number>{NUMBER})", "_": ".*?"}.get(piece, f"(?P<{piece}>.+?)"))
-        elif piece[0] == "[":
-            groups.append(f"([{'^' if piece[1] == '!' else piece[1]}{piece[2:]})")
-        else:
-            groups.append("(.)" if piece == "?" else "(.*)")
-    return re.compile("".join(groups))
+def _pattern(name: str) -> re.Pattern[str]:
+    """Return the regular expression for a part of a name with placeholders."""
+    groups = {"number": rf"(?P<number>{NUMBER})", "_": ".*?"}
+    pieces = enumerate(_PLACEHOLDER.split(name))
+    return re.compile("".join(groups.get(each, f"(?P<{each}>.+?)") if k % 2 else re.escape(each) for k, each in pieces))
 
 
 def name_of_file(file: Path, *generic: str) -> str:
