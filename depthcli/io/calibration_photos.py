@@ -16,10 +16,7 @@ SIDES = re.compile(r"(?<![a-z])(?:(left|l)|(right|r))(?![a-z])", re.IGNORECASE)
 """Words in a file name that name the view."""
 
 # "cam0" and "cam1" name the camera only if both are there.
-_WORDS = (
-    SIDES,
-    re.compile(r"(?<![a-z])(?:cam(?:era)?|image|img)[-_]?0?(?:(0)|(1))(?![0-9a-z])", re.IGNORECASE),
-)
+_WORDS = (SIDES, re.compile(r"(?<![a-z])(?:cam(?:era)?|image|img)[-_]?0?(?:(0)|(1))(?![0-9a-z])", re.IGNORECASE))
 _MAX_DEPTH = 2  # folder levels to search
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,13 +18,13 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import RgbdFrame, SparseFrame, infrared_image
 from depthcli.io.formats.calibrations import read_color_infrared_rig
 from depthcli.io.formats.depth import check_fb, codes_of, read_depth
-from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.disparity import read_filled_mask, read_plane
 from depthcli.io.formats.files import naming, read_bytes, shown, warn
 from depthcli.io.formats.files_behind import kinect_files
 from depthcli.io.formats.images import image_size, read_color8, read_image
-from depthcli.io.formats.masks import read_filled_mask, read_mask
 from depthcli.io.formats.plain_text import json_object, numbers
 from depthcli.io.scenes import RgbdScene, RgbIrScene, check_same_size
+from depthcli.io.scenes.kinds import read_masks
 
 TRANSPARENT = "transparent"
 """Name of the mask of transparent objects."""
@@ -93,10 +94,7 @@ def load_masked_frame(scene: RgbdScene) -> SparseFrame:
     check_same_size(file, objects.shape, scene.image, frame.shape)
     if not (np.isfinite(frame.depth) & ~objects).any():
         raise InputError(f"{scene.depth}: no pixel outside of {file.name} has a depth")
-    nothing = np.full(frame.shape, np.nan, np.float32)
-    return SparseFrame(
-        frame.color, frame.depth, frame.fb, frame.intrinsics, frame.interpolated, sparse=nothing, objects=objects
-    )
+    return _sparse_frame(frame, sparse=np.full(frame.shape, np.nan, np.float32), objects=objects)
 
 
 def _color_frame(scene: RgbdScene) -> RgbdFrame:
@@ -104,6 +102,10 @@ def _color_frame(scene: RgbdScene) -> RgbdFrame:
     if scene.color is None:
         raise InputError(f"{scene.depth}: no color image beside it, which transparent objects need")
     return frame
+
+
+def _sparse_frame(frame: RgbdFrame, **maps: NDArray[Any] | None) -> SparseFrame:
+    return SparseFrame(frame.color, frame.depth, frame.fb, frame.intrinsics, frame.interpolated, **maps)  # type: ignore[arg-type]
 
 
 def load_sparse_frame(scene: RgbdScene) -> SparseFrame:
@@ -122,10 +124,7 @@ def load_sparse_frame(scene: RgbdScene) -> SparseFrame:
         confidence = (plane / (np.iinfo(plane.dtype).max if plane.dtype.kind in "iu" else 1)).astype(np.float32)
     if not np.isfinite(sparse).any():
         raise InputError(f"{scene.sparse}: no pixel has a depth")
-    return SparseFrame(
-        frame.color, frame.depth, frame.fb, frame.intrinsics, frame.interpolated,
-        sparse=sparse, sparse_confidence=confidence,
-    )  # fmt: skip
+    return _sparse_frame(frame, sparse=sparse, sparse_confidence=confidence)
 
 
 def load_infrared_frame(scene: RgbIrScene) -> RgbIrFrame:
@@ -150,13 +149,7 @@ def true_depth(scene: RgbdScene) -> RgbdTruth:
     if scene.depth_true is None:
         raise InputError(f"{scene.folder}: {scene.name} has no true depth")
     depth = _read_depth(scene, scene.depth_true, scene.invalid)
-    masks = {}
-    for name, file in scene.masks.items():
-        mask = read_mask(file)
-        check_same_size(file, mask.shape, scene.depth_true, depth.shape)
-        masks[name] = mask
-        if not mask.any():
-            warn(f"{shown(file)}: no pixel is inside the mask")
+    masks = read_masks(scene.masks, scene.depth_true, depth.shape)
     if scene.fb:
         check_fb(scene.folder / "meta.json", scene.fb, depth)
     return RgbdTruth(depth, masks, scene.fb)

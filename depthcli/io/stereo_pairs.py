@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.io.formats.disparity import known_truth
-from depthcli.io.formats.files import shown, warn
+from depthcli.io.formats.files import shown
 from depthcli.io.formats.images import image_size, pair_of, read_grey, read_image, read_pair, read_two_frames
-from depthcli.io.formats.masks import read_mask
 from depthcli.io.formats.videos import read_frame
 from depthcli.io.scenes import StereoScene, check_same_size
-from depthcli.io.scenes.kinds import FRAMES, LEFT_RIGHT, TOP_BOTTOM
+from depthcli.io.scenes.kinds import FRAMES, LEFT_RIGHT, TOP_BOTTOM, read_masks
 
 # Full-size images of Middlebury 2005 and 2006 are 1240 to 1396 px wide, so that the width gives the scale.
 _SCALE_BY_WIDTH = ((900, 1.0), (550, 2.0), (0, 3.0))
@@ -88,7 +87,7 @@ def true_disparity(scene: StereoScene) -> StereoTruth:
     )
     assert disparity is not None
     objects = None if scene.objects is None else read_grey(scene.objects) > 0
-    read = {name: (path, read_mask(path)) for name, path in scene.masks.items()}
+    read: dict[str, tuple[Path, NDArray[np.bool_]]] = {}
     for name, path in (("all", scene.ignored), ("nonocc", scene.occluded)):
         if path is not None:
             read[name] = path, read_grey(path) == 0
@@ -98,9 +97,7 @@ def true_disparity(scene: StereoScene) -> StereoTruth:
     for path, array in ((scene.disparity_noc, noc), (scene.objects, objects), *read.values()):
         if path is not None and array is not None:
             check_same_size(path, array.shape, file, disparity.shape)
-    for path, mask in read.values():
-        if path in scene.masks.values() and not mask.any():
-            warn(f"{shown(path)}: no pixel is inside the mask")
     counted = np.True_ if scene.ignored is None else read["all"][1]
-    masks = {name: mask & counted for name, (_, mask) in read.items()}
+    masks = read_masks(scene.masks, file, disparity.shape) | {name: mask for name, (_, mask) in read.items()}
+    masks = {name: mask & counted for name, mask in masks.items()}
     return StereoTruth(disparity, right, noc, objects, masks, scale)

@@ -20,6 +20,8 @@ from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import Doubles, Floats, Image8, Mask
 
+_JUMP = 1.0  # pixels of disparity between neighbors; smaller steps are slopes
+
 
 @dataclass(frozen=True)
 class KinectSample:
@@ -75,12 +77,11 @@ def simulate_kinect(
     seed: int = 0,
     *,
     sensor: Sensor | None = None,
-    jump: float = 1.0,
     **changed: Any,
 ) -> KinectSample:
     """Return a Kinect-like measurement of a scene.
 
-    At every step larger than ``jump`` between neighbors in a row, the edge value of the nearer surface replaces some
+    At every step of more than a pixel between neighbors in a row, the edge value of the nearer surface replaces some
     pixels of the farther one. Then the shadow is removed: as many pixels left of every such edge as the disparity
     jumps (a pixel x is in shadow if its ``x - d`` is not left of that of every nearer pixel to its right). Some random
     discs are removed, too. The remaining pixels get Gaussian noise. Pixels with unknown truth are not measured.
@@ -91,7 +92,6 @@ def simulate_kinect(
     truth : (H, W) float, pixels of disparity, NaN or infinite = unknown; ValueError if no pixel is known
     seed : of discs and noise
     sensor : its parameters; None: a Kinect's
-    jump : pixels of disparity, > 0; smaller steps are slopes
     changed : attributes of ``sensor`` that differ, such as ``fattening=2``
     """
     sensor = replace(sensor or Sensor(), **changed)
@@ -99,13 +99,13 @@ def simulate_kinect(
     if not known.any():
         raise ValueError("no pixel has a true disparity")
     surface = _behind(np.where(known, truth, np.nan).astype(np.float32))
-    fattened = _fattened(surface, sensor.fattening, sensor.sides, jump)
+    fattened = _fattened(surface, sensor.fattening, sensor.sides)
     shadow = np.zeros(truth.shape, bool)
     if sensor.shadows != "none":
         turn = np.s_[:, ::-1] if sensor.shadows == "right" else np.s_[:, :]
-        shadow = _shadow((surface if sensor.covered else fattened)[turn], jump, sensor.baseline)[turn]
+        shadow = _shadow((surface if sensor.covered else fattened)[turn], sensor.baseline)[turn]
         if sensor.covered:
-            shadow &= np.abs(fattened - surface) <= jump
+            shadow &= np.abs(fattened - surface) <= _JUMP
     rng = np.random.Generator(np.random.PCG64([seed, 0x4B1]))
     spots = discs(rng, truth.shape, sensor.discs, sensor.disc_radius)
     grain = rng.standard_normal(truth.shape, np.float32)
@@ -117,12 +117,12 @@ def simulate_kinect(
         kernel = np.ones((2 * sensor.mixed + 1, 2 * sensor.mixed + 1), np.uint8)
         near, far = cv2.dilate(fattened, kernel), cv2.erode(fattened, kernel)
         share = rng.random(fattened.shape, np.float32)
-        values = np.asarray(np.where(near - far > jump, far + share * (near - far), fattened), np.float32)
+        values = np.asarray(np.where(near - far > _JUMP, far + share * (near - far), fattened), np.float32)
     values = values + sensor.noise * grain
     if sensor.step:
         values = np.rint(values / sensor.step) * sensor.step
-    wrong = np.abs(fattened - surface) > jump
-    wrong |= np.abs(values - surface) > np.float32(jump + 4 * sensor.noise + sensor.step)
+    wrong = np.abs(fattened - surface) > _JUMP
+    wrong |= np.abs(values - surface) > np.float32(_JUMP + 4 * sensor.noise + sensor.step)
     too_far = surface < sensor.farthest * surface.max()
     missing = shadow | spots | too_far | (values <= 0)
     rows, columns = (
@@ -154,12 +154,12 @@ def _behind(truth: Floats) -> Floats:
     return filled
 
 
-def _fattened(surface: Floats, width: int, sides: str, jump: float) -> Floats:
+def _fattened(surface: Floats, width: int, sides: str) -> Floats:
     """Return the disparity with surfaces in front spread over ``width`` pixels on their sides along the rows."""
     step = np.diff(surface, axis=1)
     faces_left, faces_right = np.full_like(surface, -np.inf), np.full_like(surface, -np.inf)
-    faces_left[:, 1:] = np.where(step > jump, surface[:, 1:], -np.inf)
-    faces_right[:, :-1] = np.where(step < -jump, surface[:, :-1], -np.inf)
+    faces_left[:, 1:] = np.where(step > _JUMP, surface[:, 1:], -np.inf)
+    faces_right[:, :-1] = np.where(step < -_JUMP, surface[:, :-1], -np.inf)
     result = surface.copy()
     for k in range(1, min(width, surface.shape[1] - 1) + 1):
         if sides != "right":
@@ -169,14 +169,14 @@ def _fattened(surface: Floats, width: int, sides: str, jump: float) -> Floats:
     return result
 
 
-def _shadow(fattened: Floats, jump: float, baseline: float) -> Mask:
-    """Select pixels whose projected position ``x - d`` a surface on their right hides, nearer by over ``jump``."""
+def _shadow(fattened: Floats, baseline: float) -> Mask:
+    """Select pixels whose projected position ``x - d`` a surface on their right hides, which is nearer."""
     position = np.arange(fattened.shape[1], dtype=np.float32) - np.float32(baseline) * fattened
     shadow = np.zeros(fattened.shape, bool)
     front = position[:, -1].copy()
     front_value = fattened[:, -1].copy()
     for x in range(fattened.shape[1] - 2, -1, -1):
-        shadow[:, x] = (position[:, x] >= front) & (front_value - fattened[:, x] > jump)
+        shadow[:, x] = (position[:, x] >= front) & (front_value - fattened[:, x] > _JUMP)
         ahead = position[:, x] < front
         front = np.where(ahead, position[:, x], front)
         front_value = np.where(ahead, fattened[:, x], front_value)

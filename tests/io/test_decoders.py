@@ -11,10 +11,9 @@ import tifffile
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import color8
-from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.disparity import read_mask, read_plane
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_color8, read_grey, read_image, read_pair, write_png
-from depthcli.io.formats.masks import read_mask
 from depthcli.problems.inputs import as_color8
 
 RNG = np.random.default_rng(0)

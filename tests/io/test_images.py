@@ -17,7 +17,7 @@ from depthcli.core.maps import DepthStatus, Status
 from depthcli.io.formats import images
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, collected_warnings, write_text
-from depthcli.io.formats.images import image_size, read_grey, read_image, read_pair, sample_bits, write_png
+from depthcli.io.formats.images import bits_said, image_size, read_grey, read_image, read_pair, write_png
 from depthcli.io.formats.status import read_status, write_codes, write_status
 from depthcli.show.view import DEPTH_STATUS_PALETTE, MEASURED_CODE, STATUS_PALETTE, status_colors, status_words
 from tests.command_line import refused
@@ -187,12 +187,12 @@ def test_size_is_known_without_decoding(tmp_path: Path, suffix):
 
 def test_samples_of_ten_and_twelve_bits(tmp_path: Path):
     dark = np.array([[0, 1000]], np.uint16)
-    assert sample_bits(dark) == 10
-    assert sample_bits(dark, dark + np.uint16(24)) == 12
-    assert sample_bits(dark, dark + np.uint16(4000)) == 16
-    assert sample_bits(dark, declared=14) == 14
-    assert sample_bits(dark * np.uint16(60), declared=14) == 16  # the file is wrong: its samples fill more
-    assert sample_bits(dark.astype(np.uint8)) == 8
+    assert bits_said((dark,), "a") == 10
+    assert bits_said((dark, dark + np.uint16(24)), "a") == 12
+    assert bits_said((dark, dark + np.uint16(4000)), "a") == 16
+    assert bits_said((dark,), "a", 14) == 14
+    assert bits_said((dark * np.uint16(60),), "a", 14) == 16  # the file is wrong: its samples fill more
+    assert bits_said((dark.astype(np.uint8),), "a") == 8
     left, right = tmp_path / "l.pgm", tmp_path / "r.png"
     left.write_bytes(b"P5 2 1 4095\n" + dark.astype(">u2").tobytes())
     assert read_pair(left, left).bits == 12

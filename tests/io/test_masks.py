@@ -9,10 +9,9 @@ import pytest
 
 import depthcli
 from depthcli.core.errors import InputError
-from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.formats.disparity import read_mask, write_pfm
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import write_png
-from depthcli.io.formats.masks import read_mask
 from depthcli.io.rgbd_frames import load_frame, load_masked_frame, true_depth
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.frames import FRAMES

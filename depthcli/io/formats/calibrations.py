@@ -83,9 +83,9 @@ class Reading:
     alpha: float = 0.0  # extent of the rectified images, see :meth:`Rig.rectified`
     asks: bool = True  # whether an implausible baseline without a unit is an error
 
-    def meters(self, usual: float = 1.0) -> float:
-        """Return the length of the file's unit in meters, or ``usual`` if the user gave no unit."""
-        return usual if self.unit is None else meters_of(self.unit)
+    def meters(self, default: float = 1.0) -> float:
+        """Return the length of the file's unit in meters, or ``default`` if the user gave no unit."""
+        return default if self.unit is None else meters_of(self.unit)
 
     def check(self, baseline: float) -> None:
         """Raise InputError if a baseline, in meters, is implausible and the user gave no unit; warn if it is long."""

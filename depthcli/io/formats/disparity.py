@@ -1,4 +1,4 @@
-"""Disparity maps and other floating-point maps as files: PFM, KITTI PNG, scaled 8-bit images, npy, npz."""
+"""Disparity maps, masks and other maps as files: PFM, KITTI PNG, scaled 8-bit images, npy, npz."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import math
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ _KITTI_FOLDERS = ("disp_0", "disp_1")  # of maps for KITTI's server
 _MAX_BEHIND = 0.5  # largest share of negative disparities
 _NPZ_MAGIC = b"PK\x03\x04"
 _MAX_UNPACKED_BYTES = 1 << 30  # largest array in an .npz file; the largest images take as much
+_MIDDLEBURY_MASK = (0, 128, 255)  # unknown, visible in one view, visible in both; only the last is inside
 _MAP_NAMES = ("disp", "disparity", "disp_left", "depth", "arr_0")  # array to choose in an .npz file of several
 
 
@@ -54,41 +55,41 @@ def is_mark(stored: NDArray[Any], invalid: float) -> NDArray[np.bool_]:
     return np.asarray(stored == mark)
 
 
-class ForeignConstant(NamedTuple):
-    """A constant that a program may use for no value."""
-
-    code: float  # as stored
-    marked: NDArray[np.bool_]  # (H, W), pixels with this constant
-
-    def __str__(self) -> str:
-        return f"{100 * np.mean(self.marked):.3g} % of the pixels are {self.code:g}"
-
-
 _MIN_CONSTANT_SHARE = 0.005  # smallest share of pixels; a rarer constant may be measured
 # Only these constants, or any of at most _MAX_MARK, may mark most pixels; other constants of most pixels are values.
-_USUAL_MARKS, _MAX_MARK = (0.0, -1.0, -16.0), -999.0
+_COMMON_MARKS, _MAX_MARK = (0.0, -1.0, -16.0), -999.0
 _MAX_NEIGHBOR_RATIO = 0.25  # pixels up to 1 px above the constant / pixels with it; a mark is isolated
 _MIN_FAR_RATIO = 4.0  # constant beyond the image width / next value; a mark is far from values
 _MAX_MARKS = 4  # constants per map
 
 
-def foreign_constants(path: Path | str, disparity: NDArray[np.float32]) -> list[ForeignConstant]:
-    """Return the constants that may mean no value in another program's map, such as OpenCV's -1, -9999, or 1e6.
+def without_constants(path: Path | str, disparity: NDArray[np.float32], is_truth: bool = False) -> NDArray[np.float32]:
+    """Return a map with NaN for constants that mean no value in other programs' maps: OpenCV's -1, -9999, or 1e6.
 
     These are the smallest value, if it is at most 0, frequent and isolated, and values of several pixels that exceed
-    the image width and are far from all others. Maps of this program's runs have no such constants.
+    the image width and are far from all others. Maps of this program's runs have no such constants. Each causes a
+    warning. The constant 0 of ground truth is kept, since the truth may be infinitely far.
     """
     if is_of_a_run(path):
-        return []
+        return disparity
     left, marks = disparity[np.isfinite(disparity)], list[np.float32]()
     while len(marks) < _MAX_MARKS and (mark := _mark_of(left, disparity.shape)) is not None:
         marks.append(mark)
         left = left[left != mark]
-    stored: NDArray[Any] = disparity
+    stored, clean = disparity, disparity
     if marks:
         with contextlib.suppress(InputError):  # e.g. disparities packed into colors have no single code
             stored = read_plane(path)
-    return [ForeignConstant(float(stored[disparity == mark][0]), disparity == mark) for mark in marks]
+    for mark in marks:
+        marked = disparity == mark
+        code = float(stored[marked][0])
+        constant = f"{shown(path)}: {100 * np.mean(marked):.3g} % of the pixels are {code:g}"
+        if is_truth and code == 0:
+            warn(f"{constant}, which count as true disparities (--invalid 0 if they are unknown)")
+            continue
+        clean = np.where(marked, np.float32(np.nan), clean)
+        warn(f"{constant}: taken as {'unknown truth' if is_truth else 'no value'} (--invalid nan keeps them)")
+    return clean
 
 
 def _mark_of(known: NDArray[np.float32], shape: tuple[int, ...]) -> np.float32 | None:
@@ -105,8 +106,8 @@ def _mark_of(known: NDArray[np.float32], shape: tuple[int, ...]) -> np.float32 |
         if smallest > 0 or n_marked < _MIN_CONSTANT_SHARE * math.prod(shape) or n_marked == some.size:
             continue
         n_near = np.count_nonzero(some <= np.float32(smallest + 1)) - n_marked
-        is_usual = 2 * n_marked <= some.size or smallest in _USUAL_MARKS or smallest <= _MAX_MARK
-        if n_near <= _MAX_NEIGHBOR_RATIO * n_marked and is_usual:
+        is_common = 2 * n_marked <= some.size or smallest in _COMMON_MARKS or smallest <= _MAX_MARK
+        if n_near <= _MAX_NEIGHBOR_RATIO * n_marked and is_common:
             return np.float32(smallest)
     return None
 
@@ -134,33 +135,21 @@ def read_foreign_map(
 ) -> NDArray[np.float32]:
     """Return a disparity map of any program as :func:`read_disparity` does; all commands read maps with this function.
 
-    If ``invalid`` is None, :func:`foreign_constants` mean no value, with a warning; NaN keeps them. Unsigned 16-bit
+    If ``invalid`` is None, :func:`without_constants` is applied; NaN keeps all values. Unsigned 16-bit
     codes have KITTI's scale if ``is_kitti``, in a run, and in a folder for KITTI's server; otherwise ``asks`` is set.
     """
     disparity = read_disparity(path, scale, scale_8bit, invalid, not (is_kitti or has_kitti_scale(path)))
-    for constant in foreign_constants(path, disparity) if invalid is None else ():
-        disparity[constant.marked] = np.nan
-        warn(f"{shown(path)}: {constant}: taken as no value (--invalid nan keeps them)")
-    return disparity
+    return without_constants(path, disparity) if invalid is None else disparity
 
 
 def known_truth(path: Path | str, disparity: NDArray[np.float32], invalid: float | None = None) -> NDArray[np.float32]:
-    """Return ground truth, (H, W) pixels, with NaN for pixels that ``invalid`` or :func:`foreign_constants` mark.
-
-    Each constant causes a warning. The constant 0 is kept, since the ground truth may be infinitely far.
-    """
-    if invalid is not None:
-        stored = disparity
-        with contextlib.suppress(InputError):  # e.g. disparities packed into colors
-            stored = read_plane(path)
-        return np.where(is_mark(stored, invalid), np.float32(np.nan), disparity)
-    for constant in foreign_constants(path, disparity):
-        if constant.code == 0:
-            warn(f"{shown(path)}: {constant}, which count as true disparities (--invalid 0 if they are unknown)")
-        else:
-            disparity = np.where(constant.marked, np.float32(np.nan), disparity)
-            warn(f"{shown(path)}: {constant}: taken as unknown truth (--invalid nan keeps them)")
-    return disparity
+    """Return ground truth, (H, W) pixels, with NaN for pixels equal to ``invalid``, or :func:`without_constants`."""
+    if invalid is None:
+        return without_constants(path, disparity, is_truth=True)
+    stored = disparity
+    with contextlib.suppress(InputError):  # e.g. disparities packed into colors
+        stored = read_plane(path)
+    return np.where(is_mark(stored, invalid), np.float32(np.nan), disparity)
 
 
 def read_disparity(
@@ -245,6 +234,31 @@ def read_plane(path: Path | str) -> NDArray[Any]:
             return _decode_pfm(data, path)
         numbers = decode_numbers(data)
         return read_grey(path) if numbers is None else numbers
+
+
+def read_mask(path: Path | str) -> NDArray[np.bool_]:
+    """Return an (H, W) mask, True above half of its largest value. It may be 0/255, 0/1, 0/128 or bool.
+
+    Other values, as in a JPEG or a label map, cause a warning, except for Middlebury's masks.
+    """
+    values = read_plane(path)
+    if not np.isfinite(values).all() or values.min() < 0:
+        raise InputError(f"{shown(path)}: values that are negative or no numbers; expected a mask, 0 outside")
+    top = values.max()
+    inside: NDArray[np.bool_] = 2.0 * values > float(top) + (top > 2)  # 128 is half of 255
+    other = (values != 0) & (values != top)
+    if other.any() and not (values.dtype == np.uint8 and np.isin(values, _MIDDLEBURY_MASK).all()):
+        share = 100 * np.mean(other)
+        warn(f"{shown(path)}: {share:.3g} % of the pixels are neither 0 nor {top:g}; above half of that is inside")
+    return inside
+
+
+def read_filled_mask(path: Path | str) -> NDArray[np.bool_]:
+    """Return a mask as :func:`read_mask` does. Raise InputError if no pixel is inside."""
+    inside = read_mask(path)
+    if not inside.any():
+        raise InputError(f"{shown(path)}: no pixel is inside the mask; expected 0 outside and 255 inside")
+    return inside
 
 
 def map_npy(path: Path | str, dimensions: int) -> NDArray[Any]:

@@ -122,26 +122,15 @@ def read_grey(path: Path | str) -> Image:
     """Return an image of codes (disparities, a mask), (H, W) uint8 or uint16; it may have three equal channels."""
     data = read_bytes(path)
     with naming(path):
-        codes = decode_grey(data)
+        pixels, _ = _decoded(data)
+        if image_kind(data) == "Tiff" and _check_tiff(data).photometric == _MIN_IS_WHITE:
+            # Programs disagree on whether such codes are meant as stored.
+            raise InputError("a TIFF of codes in which 0 is white; store it as PNG, or with 0 black (MinIsBlack)")
+        if pixels.ndim == 3 and not (pixels == pixels[..., :1]).all():
+            raise InputError("a colour image, expected one channel of codes")
     if text := _left_over(data):
         warn(f"{shown(path)}: {text}")
-    return codes
-
-
-def decode_grey(data: bytes) -> Image:
-    """Decode the bytes of a file as :func:`read_grey` does."""
-    pixels = decode_image(data)
-    if image_kind(data) == "Tiff" and _check_tiff(data).photometric == _MIN_IS_WHITE:
-        # Programs disagree on whether such codes are meant as stored.
-        raise InputError("a TIFF of codes in which 0 is white; store it as PNG, or with 0 black (MinIsBlack)")
-    if pixels.ndim == 3 and not (pixels == pixels[..., :1]).all():
-        raise InputError("a colour image, expected one channel of codes")
     return pixels if pixels.ndim == 2 else cast(Image, np.ascontiguousarray(pixels[..., 0]))
-
-
-def decode_image(data: bytes) -> Image:
-    """Decode the bytes of a file as :func:`read_image` does."""
-    return _decoded(data)[0]
 
 
 def _decoded(data: bytes) -> tuple[Image, int]:
@@ -155,35 +144,41 @@ def _decoded(data: bytes) -> tuple[Image, int]:
     if header is not None:
         header.check_image()
     with _decoding(kind):
-        if header is not None and not header.is_usual:
-            return header.oriented(_with_tifffile(data, header)), header.turn
+        if header is not None and not header.is_common:
+            pixels, turn = _with_tifffile(data, header), header.turn
+        else:
+            pixels, turn = _with_libraries(data, kind, header)
+    if turn:
+        pixels = _TURNS[turn](pixels)
+    return cast(Image, np.ascontiguousarray(pixels, np.uint8 if pixels.dtype.itemsize == 1 else np.uint16)), turn
+
+
+def _with_libraries(data: bytes, kind: str, header: _TiffHeader | None) -> tuple[NDArray[Any], int]:
+    """Return samples as stored by Pillow, or by OpenCV for 16-bit color and PNG, and the EXIF orientation or 0."""
+    image = _opened(data, kind)
+    if getattr(image, "n_frames", 1) > 1 and kind == "Png":
+        raise InputError(f"an animation of {image.n_frames} frames, expected one image")  # type: ignore[attr-defined]
+    if (turn := _orientation(image)) and kind == "Tiff":
+        # Pillow and OpenCV turn a TIFF wrongly if width and height change places, so that the tag is set to 1.
+        order = "<" if data.startswith(b"II") else ">"
+        entry, upright = (struct.pack(f"{order}HHIHH", _ORIENTATION, 3, 1, k, 0) for k in (turn, 1))
+        data = data.replace(entry, upright, 1)
         image = _opened(data, kind)
-        if getattr(image, "n_frames", 1) > 1 and kind == "Png":
-            raise InputError(f"an animation of {image.n_frames} frames, expected one image")  # type: ignore[attr-defined]
-        if (turn := _orientation(image)) and kind == "Tiff":
-            # Pillow and OpenCV turn a TIFF wrongly if width and height change places, so that the tag is set to 1.
-            order = "<" if data.startswith(b"II") else ">"
-            entry, upright = (struct.pack(f"{order}HHIHH", _ORIENTATION, 3, 1, k, 0) for k in (turn, 1))
-            data = data.replace(entry, upright, 1)
-            image = _opened(data, kind)
-        size, mode, bands = (image.height, image.width), image.mode, len(image.getbands())
-        is_wide = ";16" in str(image.tile[0][3]) and (kind == "Png" or not image.mode.startswith("I;16"))
-        _check_size(*size, bands * (2 if is_wide else 1), len(data))
-        if is_wide:
-            pixels = _with_opencv(data)
-            if pixels.ndim == 3:  # OpenCV returns grey with transparency as color
-                pixels = pixels[..., 0] if mode in ("LA", "La", "I;16") else pixels[..., 2::-1]
-        else:  # copy, since numba compiles kernels again for read-only arrays
-            is_plain = mode in ("L", "RGB") or mode.startswith("I;16")
-            plain = "L" if mode in ("1", "LA", "La") else "RGB"
-            pixels = np.array(image if is_plain else image.convert(plain))
+    size, mode, bands = (image.height, image.width), image.mode, len(image.getbands())
+    is_wide = ";16" in str(image.tile[0][3]) and (kind == "Png" or not image.mode.startswith("I;16"))
+    _check_size(*size, bands * (2 if is_wide else 1), len(data))
+    if is_wide:
+        pixels = _with_opencv(data)
+        if pixels.ndim == 3:  # OpenCV returns grey with transparency as color
+            pixels = pixels[..., 0] if mode in ("LA", "La", "I;16") else pixels[..., 2::-1]
+    else:  # copy, since numba compiles kernels again for read-only arrays
+        is_plain = mode in ("L", "RGB") or mode.startswith("I;16")
+        pixels = np.array(image if is_plain else image.convert("L" if mode in ("1", "LA", "La") else "RGB"))
     if pixels.dtype.kind != "u" or pixels.dtype.itemsize > 2 or mode == "F":
         raise InputError("samples of 32 bit, or signed ones; expected 8 or 16 bit")
     is_deep = is_wide or mode.startswith("I") if header is None else header.bits > 8
     _check_decoded(pixels, size, 1 if bands <= 2 and mode != "P" else 3, 16 if is_deep else 8)
-    if turn:
-        pixels = _TURNS[turn](pixels)
-    return cast(Image, np.ascontiguousarray(pixels, np.uint8 if pixels.dtype.itemsize == 1 else np.uint16)), turn
+    return pixels, turn
 
 
 def _check_decoded(pixels: NDArray[Any], size: tuple[int, int], channels: int, bits: int) -> None:
@@ -363,19 +358,16 @@ def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int |
     return StereoPair(left, right, bits)
 
 
-def sample_bits(*images: Image, declared: int | None = None) -> int:
-    """Return the bits per sample: the first of ``declared``, 8, 10, 12 and 16 that fits the largest sample."""
+def bits_said(images: Sequence[Image], path: Path | str, declared: int | None = None) -> int:
+    """Return the bits per sample: the first of ``declared``, 8, 10, 12 and 16 that fits the largest sample.
+
+    Warn if a 16-bit file has 8-bit samples.
+    """
     if images[0].dtype == np.uint8:
         return 8
     top = max(int(image.max()) for image in images)
-    return next((bits for bits in (declared or 0, 8, 10, 12) if bits <= 16 and top < 1 << bits), 16)
-
-
-def bits_said(images: Sequence[Image], path: Path | str, declared: int | None) -> int:
-    """Return :func:`sample_bits`, with a warning if a 16-bit file has 8-bit samples."""
-    bits = sample_bits(*images, declared=declared)
-    if bits == 8 and declared is None and images[0].itemsize > 1:
-        top = max(int(image.max()) for image in images)
+    bits = next((bits for bits in (declared or 0, 8, 10, 12) if bits <= 16 and top < 1 << bits), 16)
+    if bits == 8 and declared is None:
         warn(f"{shown(path)}: a 16-bit file with samples up to {top}: taken as 8-bit ones")
     return bits
 
@@ -484,7 +476,7 @@ class _TiffHeader:
         return f"{self.samples} channel{'s' * (self.samples > 1)} of {self.bits}-bit {kind}"
 
     @property
-    def is_usual(self) -> bool:
+    def is_common(self) -> bool:
         """True if Pillow, or OpenCV for 16-bit color, decodes it correctly."""
         wide_grey = self.bits == 16 and (self.samples == 2 or self.photometric == _MIN_IS_WHITE)
         return not wide_grey and not (self.is_separate and self.samples > 1)
@@ -501,11 +493,6 @@ class _TiffHeader:
         """Raise InputError if it is no one-channel map."""
         if self.samples != 1 or self.bits not in ((16, 32, 64) if self.is_float else (8, 16, 32, 64)):
             raise InputError(f"{self.words}; expected a map of one channel, floating point of 16, 32 or 64 bit")
-
-    def oriented(self, pixels: NDArray[Any]) -> Image:
-        """Return decoded pixels turned upright."""
-        upright = _TURNS[self.turn](pixels) if self.turn else pixels
-        return cast(Image, np.ascontiguousarray(upright, np.uint8 if upright.dtype.itemsize == 1 else np.uint16))
 
 
 def _check_tiff(data: bytes) -> _TiffHeader:
@@ -556,12 +543,11 @@ def _with_tifffile(data: bytes, header: _TiffHeader) -> NDArray[Any]:
         compressed = "imagecodecs" in str(error)
         why = "compressed, which is not read of such samples; store it uncompressed" if compressed else str(error)[:200]
         raise InputError(f"{header.words}: {why}") from None
+    if header.samples > 1 and header.is_separate:
+        pixels = np.moveaxis(pixels, 0, -1)
+    _check_decoded(pixels, header.size, header.samples, header.bits)
     if header.samples > 1:
-        pixels = np.moveaxis(pixels, 0, -1) if header.is_separate else pixels
-        _check_decoded(pixels, header.size, header.samples, header.bits)
         pixels = pixels[..., :3] if header.samples > 2 else pixels[..., 0]
-    else:
-        _check_decoded(pixels, header.size, 1, header.bits)
     if header.photometric == _MIN_IS_WHITE and header.is_image:
         pixels = np.iinfo(pixels.dtype).max - pixels
     return pixels

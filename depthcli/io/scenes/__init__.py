@@ -13,39 +13,20 @@
 A command imports the table for its kind of scene.
 """
 
-from depthcli.io.scenes.kinds import (
-    LEFT_OUT,
-    MAX_DISPARITY,
-    DisparityScene,
-    GivenMap,
-    MapsScene,
-    RgbdScene,
-    RgbIrScene,
-    Scene,
-    SequenceScene,
-    StereoScene,
-    VolumePairScene,
-    check_same_size,
-    sequences,
-)
-from depthcli.io.scenes.rows import Folder, Layout, Layouts, layout_plugins
-
-__all__ = [
-    "LEFT_OUT",
-    "MAX_DISPARITY",
-    "DisparityScene",
-    "Folder",
-    "GivenMap",
-    "Layout",
-    "Layouts",
-    "MapsScene",
-    "RgbIrScene",
-    "RgbdScene",
-    "Scene",
-    "SequenceScene",
-    "StereoScene",
-    "VolumePairScene",
-    "check_same_size",
-    "layout_plugins",
-    "sequences",
-]
+from depthcli.io.scenes.kinds import LEFT_OUT as LEFT_OUT
+from depthcli.io.scenes.kinds import MAX_DISPARITY as MAX_DISPARITY
+from depthcli.io.scenes.kinds import DisparityScene as DisparityScene
+from depthcli.io.scenes.kinds import GivenMap as GivenMap
+from depthcli.io.scenes.kinds import MapsScene as MapsScene
+from depthcli.io.scenes.kinds import RgbdScene as RgbdScene
+from depthcli.io.scenes.kinds import RgbIrScene as RgbIrScene
+from depthcli.io.scenes.kinds import Scene as Scene
+from depthcli.io.scenes.kinds import SequenceScene as SequenceScene
+from depthcli.io.scenes.kinds import StereoScene as StereoScene
+from depthcli.io.scenes.kinds import VolumePairScene as VolumePairScene
+from depthcli.io.scenes.kinds import check_same_size as check_same_size
+from depthcli.io.scenes.kinds import sequences as sequences
+from depthcli.io.scenes.rows import Folder as Folder
+from depthcli.io.scenes.rows import Layout as Layout
+from depthcli.io.scenes.rows import Layouts as Layouts
+from depthcli.io.scenes.rows import layout_plugins as layout_plugins

@@ -14,16 +14,7 @@ from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.plain_text import numbers, text_of
 from depthcli.io.formats.poses import Poses, read_poses
 from depthcli.io.scenes.kinds import RgbdScene, RgbIrScene, Scene
-from depthcli.io.scenes.rows import (
-    NUMBER,
-    Folder,
-    Found,
-    Layout,
-    LayoutRow,
-    Layouts,
-    Meta,
-    name_of_file,
-)
+from depthcli.io.scenes.rows import NUMBER, Folder, Found, Layout, LayoutRow, Layouts, Meta, name_of_file
 
 _TUM_SCALE = 5000.0  # codes per meter in the benchmark's files
 _TUM_DELAY = 0.02  # seconds, as in the benchmark's associate.py
@@ -85,20 +76,12 @@ def _frame(found: Found) -> dict[str, Any] | None:
 
 
 def _numbered(found: Found) -> dict[str, Any]:
-    place = {"sequence": found.folder.name, "number": _in_order(found.keys["number"])}
-    return _meta(found.folder) | {"pose": None} | place
-
-
-def _in_order(number: str) -> int:
-    """Return a frame's number, or its time in microseconds."""
-    return int(number) if number.isdigit() else round(float(number) * 1e6)
-
-
-def _named(found: Found) -> dict[str, Any]:
     """Return the scene fields of a frame in folders of frames; frames with numbers as names form a sequence."""
-    number = re.fullmatch(rf"(?:frame[-_]?)?({NUMBER})", found.keys["name"])
-    place = {"sequence": found.folder.name, "number": _in_order(number[1])} if number else {}
-    return _meta(found.folder) | {"pose": None} | place
+    number = found.keys.get("number", "")
+    if match := re.fullmatch(rf"(?:frame[-_]?)?({NUMBER})", found.keys.get("name", "")):
+        number = match[1]
+    order = int(number) if number.isdigit() else round(float(number or 0) * 1e6)  # or its time in microseconds
+    return _meta(found.folder) | {"pose": None} | ({"sequence": found.folder.name, "number": order} if number else {})
 
 
 def _sun(found: Found) -> dict[str, Any]:
@@ -118,25 +101,19 @@ def _matrix(path: Path) -> tuple[float, ...]:
     return float(rows[0, 0]), float(rows[1, 1]), float(rows[0, 2]), float(rows[1, 2])
 
 
-class _Sequence(LayoutRow):
-    """Numbered frames; one file may have all poses."""
-
-    def scenes(self, folder: Folder) -> list[Scene]:
-        frames = [scene for scene in super().scenes(folder) if isinstance(scene, RgbdScene)]
-        if not frames or not folder.has("poses.txt"):
-            return [*frames]
-        poses = read_poses(folder.path / "poses.txt").of_frames(sorted(frame.number for frame in frames))
-        return [replace(frame, pose=poses[frame.number]) for frame in frames]
+def _with_poses(folder: Folder, scenes: list[Scene]) -> list[Scene]:
+    """Return numbered frames with their poses, of which one file may have all."""
+    if not folder.has("poses.txt"):
+        return scenes
+    poses = read_poses(folder.path / "poses.txt").of_frames(sorted(frame.number for frame in scenes))  # type: ignore[attr-defined]
+    return [replace(frame, pose=poses[frame.number]) for frame in scenes]  # type: ignore[attr-defined, call-arg]
 
 
-class _Scannet(LayoutRow):
-    """Frames whose depth is registered with the matrices of both cameras."""
-
-    def scenes(self, folder: Folder) -> list[Scene]:
-        frames = super().scenes(folder)
-        place = "intrinsic/intrinsic_{}.txt" if "intrinsic" in folder.names else "intrinsics_{}.txt"
-        color, depth = (_matrix(folder.path / place.format(kind)) if frames else None for kind in ("color", "depth"))
-        return [replace(frame, intrinsics=color, depth_intrinsics=depth) for frame in frames]  # type: ignore[call-arg]
+def _with_cameras(folder: Folder, scenes: list[Scene]) -> list[Scene]:
+    """Return frames with the matrices of both cameras, by which the depth is registered."""
+    place = "intrinsic/intrinsic_{}.txt" if "intrinsic" in folder.names else "intrinsics_{}.txt"
+    color, depth = (_matrix(folder.path / place.format(kind)) for kind in ("color", "depth"))
+    return [replace(frame, intrinsics=color, depth_intrinsics=depth) for frame in scenes]  # type: ignore[call-arg]
 
 
 class _Sun(LayoutRow):
@@ -231,8 +208,8 @@ FRAMES = Layouts.of(
         facts=lambda found: {**_meta(found.folder), "max_disparity": found.folder.meta.whole("max_disparity", 1)},
         either=True, single=True,
     ),
-    _Sequence(
-        title="rgbd-sequence", kind=RgbdScene,
+    LayoutRow(
+        title="rgbd-sequence", kind=RgbdScene, after=_with_poses,
         wants="`color_00000.*` and `depth_00000.*`, or `color/` and `depth/` with numbered files; `meta.json` as "
         "`rgbd`; where known `poses.txt`",
         files=({"color": "color/{_}{number}.*", "depth": "depth/{_}{number}.*", **_NUMBERED},
@@ -250,16 +227,16 @@ FRAMES = Layouts.of(
                 ("{name}", "{name}"), ("rgb_{name}", "depth_{name}"), ("color_{name}", "depth_{name}"),
                 ("{name}_rgb", "{name}_depth"), ("{name}_color", "{name}_depth"),
             )
-        ), facts=_named, either=True,
+        ), facts=_numbered, either=True,
     ),
-    _Scannet(
-        title="scannet", kind=RgbdScene, needs=("intrinsic*",),
+    LayoutRow(
+        title="scannet", kind=RgbdScene, after=_with_cameras, needs=("intrinsic*",),
         wants="`color/0.jpg`, `depth/0.png` (millimeters), `intrinsic/intrinsic_color.txt`, "
         "`intrinsic/intrinsic_depth.txt`",
         files=({"color": "color/{number}.*", "depth": "depth/{number}.*", **_NUMBERED},), facts=_numbered, either=True,
     ),
-    _Sequence(
-        title="kinect-raw", kind=RgbdScene,
+    LayoutRow(
+        title="kinect-raw", kind=RgbdScene, after=_with_poses,
         wants="`color.*` and `disparity*.*`, or `color_0000.*` and `disparity_0000.*`; `calib.json` with "
         "`dc_beta.npy` after Herrera et al., else a typical calibration",
         files=({"color": "color.*", "depth": "disparity{_}.*", "depth_true": "depth_true.*", "masks": "mask_{mask}.*",

@@ -7,7 +7,7 @@ Nothing is loaded here, except that ``input_files`` looks into headers for furth
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Self
@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.camera import Place
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
-from depthcli.io.formats.disparity import read_disparity
+from depthcli.io.formats.disparity import read_disparity, read_mask
+from depthcli.io.formats.files import shown, warn
 from depthcli.io.formats.files_behind import kinect_files, transform_files, volume_files
 
 MAX_DISPARITY = 1 << 20
@@ -44,6 +45,7 @@ class Scene:
     invalid: float | None = None  # value of unknown pixels in the ground truth; None: recognized, NaN: no such value
 
     roles: ClassVar[tuple[str, ...]] = ()  # fields of files that a method may read
+    truth_role: ClassVar[str] = ""  # field of the ground truth
 
     @property
     def input_files(self) -> dict[str, Path]:
@@ -53,11 +55,11 @@ class Scene:
     @property
     def has_truth(self) -> bool:
         """True if the scene has ground truth to compare with."""
-        return False
+        return bool(self.truth_role) and getattr(self, self.truth_role) is not None
 
     @property
     def lacks_for_truth(self) -> str:
-        """A message about files that the ground truth still needs, or empty."""
+        """Return a message about files that the ground truth still needs, or an empty text."""
         return ""
 
     def check(self) -> None:
@@ -97,6 +99,7 @@ class StereoScene(Scene):
     sequence: tuple[StereoScene, ...] = ()
 
     roles: ClassVar[tuple[str, ...]] = ("left", "right")
+    truth_role: ClassVar[str] = "disparity_left"
 
     @property
     def input_files(self) -> dict[str, Path]:
@@ -107,11 +110,6 @@ class StereoScene(Scene):
     def is_first(self) -> bool:
         """True if this is a single pair or the first frame of a sequence."""
         return not self.sequence or self.sequence[0].name == self.name
-
-    @property
-    def has_truth(self) -> bool:
-        """True if the left view has a ground truth disparity map."""
-        return self.disparity_left is not None
 
 
 @dataclass(frozen=True)
@@ -191,17 +189,13 @@ class RgbdScene(Scene):
     pose: tuple[float, ...] | None = None  # (4, 4), row by row, from the color camera to the world, meters
 
     roles: ClassVar[tuple[str, ...]] = ("color", "depth", "hidden", "calibration")
+    truth_role: ClassVar[str] = "depth_true"
 
     @property
     def input_files(self) -> dict[str, Path]:
         """Role -> file that a method may read, with the files of a Kinect calibration."""
         behind = kinect_files(self.calibration) if self.calibration is not None and self.raw else ()
         return super().input_files | {f"calibration: {file.name}": file for file in behind}
-
-    @property
-    def has_truth(self) -> bool:
-        """True if the frame has ground truth depth."""
-        return self.depth_true is not None
 
     def with_scale(self, scale: float | None) -> Self:
         """Return the scene with this number of codes per meter; None and raw scenes change nothing."""
@@ -281,7 +275,7 @@ class VolumePairScene(Scene):
 
     @property
     def lacks_for_truth(self) -> str:
-        """A message about the file that ``landmarks_moving`` still needs, or empty."""
+        """Return a message about the file that ``landmarks_moving`` still needs, or an empty text."""
         if self.has_truth or self.landmarks_moving is None:
             return ""
         needed = "landmarks_fixed.*" if self.landmarks_fixed is None else "displacement.* or transform.*"
@@ -293,6 +287,17 @@ def check_same_size(file: Path, shape: Sequence[int], other: Path, wanted: Seque
     if tuple(shape[:2]) != tuple(wanted[:2]):
         have, want = (f"{size[1]} x {size[0]}" for size in (shape, wanted))
         raise InputError(f"{file}: {have}, but {other.name} is {want}{why}")
+
+
+def read_masks(files: Mapping[str, Path], like: Path, shape: Sequence[int]) -> dict[str, NDArray[np.bool_]]:
+    """Return name -> (H, W) mask. Raise InputError if a mask differs from ``shape``, the size of ``like``."""
+    masks = {}
+    for name, file in files.items():
+        masks[name] = mask = read_mask(file)
+        check_same_size(file, mask.shape, like, shape)
+        if not mask.any():
+            warn(f"{shown(file)}: no pixel is inside the mask")
+    return masks
 
 
 def sequences(scenes: Sequence[Scene]) -> list[Scene]:

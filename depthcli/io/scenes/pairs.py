@@ -28,14 +28,7 @@ from depthcli.io.formats.images import IMAGE_SUFFIXES, read_image
 from depthcli.io.formats.plain_text import json_object, key_values, numbers, table_rows, text_of
 from depthcli.io.formats.videos import VIDEO_SUFFIXES, frames_and_rate
 from depthcli.io.scenes.kinds import FRAMES, LEFT_RIGHT, MAX_DISPARITY, TOP_BOTTOM, Scene, StereoScene
-from depthcli.io.scenes.rows import (
-    Folder,
-    Found,
-    LayoutRow,
-    Layouts,
-    dropped,
-    name_of_file,
-)
+from depthcli.io.scenes.rows import Folder, Found, LayoutRow, Layouts, dropped, name_of_file
 
 STDIN = Path("-")
 """The table's path for standard input."""

@@ -11,7 +11,6 @@ import hashlib
 import os
 import re
 import shutil
-import socket
 import stat
 import tarfile
 import tempfile
@@ -38,7 +37,7 @@ _MAX_HEADER = 1 << 20  # bytes of a member in _HEADERS
 # Image archives never expand by this factor; small mask archives can, so that the second limit applies to them.
 _MAX_RATE, _ALWAYS_BYTES = 200, 1 << 30
 _CONNECT_SECONDS, _READ_SECONDS = 15, 60  # timeouts
-_LEFTOVER_SECONDS = 86400  # age at which leftovers of processes on other machines are deleted
+_LEFTOVER_SECONDS = 86400  # age at which leftovers of killed processes are deleted
 _MAX_CACHE_BYTES, _MIN_AGE = 50 << 30, 7 * 86400  # size of the cache; seconds since last use before deletion
 # Suffixes of files next to a cached folder: its source, and the warnings of its creation.
 _ORIGIN, _WARNINGS = ".origin", ".warnings"
@@ -107,8 +106,7 @@ def _cached(key: object, name: str, source: str, make: Callable[[Path], None]) -
     if not folder.is_dir():
         folder.parent.mkdir(parents=True, exist_ok=True)
         _clean(folder.parent)
-        start = f".{socket.gethostname()[:60]}.{os.getpid()}."
-        with tempfile.TemporaryDirectory(prefix=start, dir=folder.parent, ignore_cleanup_errors=True) as made:
+        with tempfile.TemporaryDirectory(prefix=".", dir=folder.parent, ignore_cleanup_errors=True) as made:
             with collected_warnings() as lines:
                 make(Path(made, name))
             Path(made, name + _ORIGIN).write_text(source, "utf-8", "surrogateescape")
@@ -129,11 +127,10 @@ def _cached(key: object, name: str, source: str, make: Callable[[Path], None]) -
 
 def _clean(root: Path) -> None:
     """Delete leftovers of killed processes from the cache and, above its size limit, inputs unused for long."""
-    here, now = f".{socket.gethostname()[:60]}.", time.time()
+    now = time.time()
     for old in root.glob(".*"):
         with contextlib.suppress(OSError):
-            pid = old.name.removeprefix(here).partition(".")[0] if old.name.startswith(here) else ""
-            if old.stat().st_mtime < now - _LEFTOVER_SECONDS or (pid.isdecimal() and not _is_running(int(pid))):
+            if old.stat().st_mtime < now - _LEFTOVER_SECONDS:
                 shutil.rmtree(old, ignore_errors=True)
     sizes: list[tuple[float, int, Path]] = []
     for folder in root.glob("[!.]*"):
@@ -146,18 +143,6 @@ def _clean(root: Path) -> None:
             break
         shutil.rmtree(folder, ignore_errors=True)
         total -= size
-
-
-def _is_running(pid: int) -> bool:
-    """Return whether a process of this machine runs, or True if that is unknown."""
-    try:
-        if os.name != "nt":  # signal 0 would end a process on Windows
-            os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
 
 
 @contextlib.contextmanager

@@ -261,6 +261,7 @@ class LayoutRow(Layout):
         ``{folder}`` (default) is the folder's name, and ``{path_}`` the folders of ``{path}`` joined by ``_``
     kind, protocol : kind and evaluation protocol of the scenes
     facts : returns further fields of a scene, or None if the scene does not have this layout
+    after : returns all scenes of a folder with further fields
     needs, without : shell patterns of names; the folder must have all of ``needs`` and none of ``without``
     """
 
@@ -271,6 +272,7 @@ class LayoutRow(Layout):
     protocol: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)  # other fields of the scenes
     facts: Callable[[Found], dict[str, Any] | None] = lambda found: {}
+    after: Callable[[Folder, list[Scene]], list[Scene]] | None = None
     needs: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
     either: bool = False  # one image makes a scene, which has a problem if the other image is missing
@@ -289,9 +291,10 @@ class LayoutRow(Layout):
                 if scene is not None and scene.name not in scenes:
                     scenes[scene.name] = scene
                     views_of[scene.name] = views
-            for name, line in dropped(self._views, views_of).items():
+            for name, line in dropped(self._views, views_of).items() if len(views_of) > 1 else ():
                 scenes[name] = replace(scenes[name], warnings=(*scenes[name].warnings, line))
-        return list(scenes.values())
+        found = list(scenes.values())
+        return self.after(folder, found) if found and self.after else found
 
     @cached_property
     def _views(self) -> tuple[str, str]:
