@@ -16,7 +16,7 @@ import depthcli.device.cuda
 import depthcli.device.opencl
 from depthcli.cli import main
 from depthcli.core.errors import ConfigError
-from depthcli.device import Device, DeviceError, DeviceInfo, Kernels, Launch, find_device
+from depthcli.device import Device, DeviceError, DeviceInfo, Kernels, Launch, find_device, open_device
 from depthcli.device.cuda import OPTIONS
 from depthcli.device.dialect import COMMON, CUDA
 from tests.device import nvrtc
@@ -227,3 +227,128 @@ def test_a_pipeline_without_kernels_says_that_it_ran_on_the_processor(tmp_path, 
     assert main(["stereo", "opencv-bm", *scene, "--device", "auto", "-q"]) == 0
     (row,) = json.loads((output / "report.json").read_text())["scenes"]
     assert row["device"] == "cpu: opencv_bm has no kernels for opencl:1, a small card"
+
+
+class Stored(np.ndarray):
+    """An array of the host that stands for one on a device."""
+
+    def set(self, array):
+        self[...] = array
+
+    def get(self, out):
+        out[...] = self
+
+
+def add_one(groups, group, arguments):
+    assert (groups, group) == ((3, 2), (4, 8))
+    arguments[0][...] += np.uint8(1)
+
+
+def cupy() -> MagicMock:
+    """Stands for the package cupy with one card, whose kernels add one, or move data in half a millisecond."""
+    module = MagicMock()
+    module.cuda.memory.OutOfMemoryError = MemoryError
+    module.cuda.runtime.runtimeGetVersion.return_value = 12040
+    module.cuda.runtime.getDeviceCount.return_value = 1
+    module.cuda.runtime.getDeviceProperties.return_value = {"name": b"a card", "totalGlobalMem": 1 << 20}
+    module.cuda.get_elapsed_time.return_value = 0.5
+    module.empty = lambda shape, dtype: np.empty(shape, dtype).view(Stored)
+    functions = {"add_one": add_one, "copy": lambda *_: None, "multiply_add": lambda *_: None}
+    module.RawModule.return_value.get_function = lambda name: functions[name]
+    return module
+
+
+def pyopencl() -> MagicMock:
+    """Stands for the package pyopencl with one card, as :func:`cupy`."""
+    module = MagicMock(Error=RuntimeError, device_type=SimpleNamespace(GPU=4))
+    card = MagicMock(version="OpenCL 1.2", type=4, global_mem_size=1 << 20, extensions="cl_khr_fp64")
+    card.name = "a card"
+    platform = MagicMock(get_devices=lambda: [card])
+    platform.name = "a platform"
+    module.get_platforms.return_value = [platform]
+    module.tools.MemoryPool.return_value.allocate = lambda size: np.empty(size, np.uint8)
+
+    def copy(queue, target, source, is_blocking):
+        target.reshape(-1).view(np.uint8)[...] = source.reshape(-1).view(np.uint8)
+
+    def kernel(program, name):
+        def run(queue, size, group, *arguments):
+            if name == "add_one":
+                add_one(tuple(n // g for n, g in zip(size, group, strict=True)), group, arguments)
+            return SimpleNamespace(profile=SimpleNamespace(start=0, end=500_000))
+
+        return run
+
+    module.enqueue_copy, module.Kernel = copy, kernel
+    return module
+
+
+@pytest.fixture(params=[("cuda", "cupy", cupy), ("opencl", "pyopencl", pyopencl)], ids=["cuda", "opencl"])
+def card(request, monkeypatch):
+    kind, name, make = request.param
+    module, backend = make(), getattr(depthcli.device, kind)
+    for part, value in ((name, module), (f"{name}.tools", module.tools)):
+        monkeypatch.setitem(sys.modules, part, value)
+    monkeypatch.setattr(depthcli.device, "_open", {})
+    handles = backend.find_devices if kind == "cuda" else backend._handles
+    handles.cache_clear()
+    yield kind, module
+    handles.cache_clear()
+
+
+def test_a_card_copies_runs_and_is_timed_by_either_package(card):
+    kind, _ = card
+    info = find_device(kind)
+    assert (info.address, info.name, info.memory, info.is_gpu) == (f"{kind}:0", "a card", 1 << 20, True)
+    assert info.driver == {"cuda": "CUDA 12.4", "opencl": "a platform, OpenCL 1.2"}[kind]
+    device = open_device(kind)
+    assert open_device(kind) is device and device.has_double
+    there = device.upload(np.arange(6, dtype=np.uint8).reshape(2, 3))
+    kernels = Kernels("depthcli.device", "benchmarks.cl")
+    device.launch(kernels, "add_one", (9, 16), (4, 8), there)
+    device.launches = []
+    device.launch(kernels, "add_one", (9, 16), (4, 8), there)
+    device.finish()
+    assert device.launches == [Launch("add_one", 0.5e-3, 6)]
+    np.testing.assert_array_equal(device.download(there), np.arange(2, 8).reshape(2, 3))
+    count = (1 << 20) // 64
+    assert device.measure_bandwidth() == pytest.approx(2 * 4 * count / 0.5e-3)
+    assert device.measure_operations() == pytest.approx(64 * 8 * 4 * 2 * (1 << 20) / 0.5e-3)
+
+
+def test_too_little_memory_of_a_card_is_said(card):
+    kind, module = card
+
+    def full(*_):
+        raise MemoryError("all of it is in use")
+
+    device = open_device(kind)
+    module.empty = module.tools.MemoryPool.return_value.allocate = full
+    with pytest.raises(DeviceError, match=rf"{kind}:0 \(a card\) has no room"):
+        device.empty((4, 5), np.float32)
+
+
+def test_a_card_that_cannot_be_opened_is_said(card):
+    kind, module = card
+    assert find_device(kind) is not None
+    module.cuda.Device.return_value.use.side_effect = RuntimeError("lost")
+    module.CommandQueue.side_effect = RuntimeError("lost")
+    with pytest.raises(DeviceError, match="failed: lost"):
+        open_device(kind)
+
+
+def test_a_driver_that_does_not_answer_is_no_device(card):
+    kind, module = card
+    module.cuda.runtime.getDeviceCount.side_effect = RuntimeError("driver is too old\nmore")
+    module.get_platforms.side_effect = RuntimeError("driver is too old\nmore")
+    found, why = getattr(depthcli.device, kind).find_devices()
+    assert found == [] and "driver is too old" in why and "more" not in why
+
+
+def test_a_kernel_that_the_compiler_refuses_is_named(card):
+    kind, module = card
+    device = open_device(kind)
+    for compile_ in (module.Program.return_value.build, module.RawModule):
+        compile_.side_effect = RuntimeError("clBuildProgram failed\n<kernel>:1: error: unknown type name 'x'")
+    with pytest.raises(DeviceError, match=r"error: unknown type name|clBuildProgram failed"):
+        device.launch(Kernels("depthcli.device", "benchmarks.cl"), "add_one", (9, 16), (4, 8))
