@@ -44,6 +44,11 @@ _DISTINCT = 0.6  # a match of the pair is distinct if log(second smallest cost /
 # Share of the distinct matches that a map may contradict; reduction of the log odds of all its values per share above;
 # largest reduction. Maps of stereo methods contradict fewer matches, maps of another scene more.
 _CONTRADICTED, _DOUBT, _MOST_DOUBT = 0.45, 70.0, 16.0
+# A map is rounded if this share of its values are multiples of a step. Only steps between levels that this many values
+# have are tried, largest first; with fewer levels than that, only whole numbers.
+_ON_STEPS, _PER_LEVEL, _MIN_LEVELS, _MAX_STEP = 0.95, 10, 5, 4.0
+_NEAR = 0.02  # distance from a multiple, in steps
+_N_LOOKED_AT = 100_000  # values of a map, for its step
 
 
 class Networks(NamedTuple):
@@ -222,7 +227,8 @@ def judge_by_one_view(
     planes = _planes.one_view_planes(whole, StereoPair(left, left).grey8[0].astype(np.float32), max_disparity)
     clock.start("network")
     odds = odds_within(network, 1.0, planes, planes[:0])
-    probability, bound = promised(networks.one_view_errors, odds, missing, within, level)
+    table = rounded(networks.one_view_errors, rounding_step(values))
+    probability, bound = promised(table, odds, missing, within, level)
     confidence = {}
     for name in measures:
         if (measure := MEASURES[name]).source in ONE_VIEW:
@@ -295,7 +301,39 @@ def promised_of(
 ) -> tuple[Plane, Plane]:
     """Return probability and bound (H, W) of a judged map."""
     odds = odds_of(networks, judged, 1.0) - doubt(judged) - FILLED_DOUBT * filled
-    return promised(networks.errors, odds, judged.missing, within, level)
+    table = rounded(networks.errors, rounding_step(judged.values[~judged.missing]))
+    return promised(table, odds, judged.missing, within, level)
+
+
+def rounding_step(values: NDArray[np.float32]) -> float:
+    """Return the step, pixels, to which the values of a map are rounded; NaN = no value. 0: they are not rounded.
+
+    Some values may lie between the steps, such as filled ones. Steps far below a pixel may count as 0.
+    """
+    known = values[np.isfinite(values)]
+    known = known[:: max(1, known.size // _N_LOOKED_AT)]
+    levels, counts = np.unique(known.astype(np.float64), return_counts=True)
+    frequent = levels[counts >= _PER_LEVEL]
+    steps = (
+        np.array([1.0])
+        if frequent.size < _MIN_LEVELS
+        else np.quantile(np.diff(frequent), (0.75, 0.5, 0.25), method="nearest")
+    )
+    for step in steps[steps <= _MAX_STEP]:
+        places = levels / step
+        if counts[np.abs(places - np.rint(places)) < _NEAR].sum() >= _ON_STEPS * max(known.size, 1):
+            return float(step)
+    return 0.0
+
+
+def rounded(table: ErrorTable, step: float) -> ErrorTable:
+    """Return the table of errors of values that are rounded to multiples of a step, pixels.
+
+    Rounding adds errors that are uniform up to half a step; quantiles of both are added in quadrature.
+    """
+    if not step:
+        return table
+    return replace(table, log2_errors=np.log2(np.hypot(np.exp2(table.log2_errors), table.levels * (step / 2))))
 
 
 def doubt(judged: Judged) -> np.float32:

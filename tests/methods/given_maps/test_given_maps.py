@@ -204,3 +204,28 @@ def test_a_map_is_doubted_as_a_whole_where_it_contradicts_the_distinct_matches()
     assert given_maps.doubt(judged) > 8
     missing[:, :30] = True  # of what is left, less than half
     assert given_maps.doubt(judged) == 0
+
+
+def test_the_step_of_rounded_maps_is_found(scene: SyntheticScene):
+    truth = scene.disparity_left
+    assert given_maps.rounding_step(truth) == 0
+    for step in (1, 0.5, 1 / 3, 0.25, 2):
+        values = (np.rint(truth / step) * np.float32(step)).astype(np.float32)
+        values[::37] = truth[::37]  # some are filled between the steps
+        values[5:9] = np.nan
+        assert given_maps.rounding_step(values) == pytest.approx(step, rel=1e-4)
+    assert given_maps.rounding_step(np.full((20, 30), 7, np.float32)) == 1
+    for unknown in (np.full((20, 30), 7.3, np.float32), np.full((20, 30), np.nan, np.float32), truth[0, :3]):
+        assert given_maps.rounding_step(unknown) == 0
+
+
+def test_bounds_of_rounded_maps_cover_what_rounding_adds(pair: StereoPair, scene: SyntheticScene):
+    exact, values = scene.disparity_left, np.rint(scene.disparity_left)
+    one_view = given_maps.judge_by_one_view(networks(), pair.left, values, 32)
+    found = given_maps.judge(networks(), pair, [values], 32)
+    for judgment in (found, one_view):
+        assert np.mean(np.abs(values - exact) <= judgment.bound) > 0.85
+    assert (found.bound >= 0.45).all() and np.median(found.bound) < 0.8
+    assert (given_maps.judge(networks(), pair, [exact], 32).bound < 0.45).any()
+    likely = given_maps.judge(networks(), pair, [values], 32, within=float(np.median(found.bound))).probability
+    assert np.median(likely) == pytest.approx(0.9, abs=0.02)
