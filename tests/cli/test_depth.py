@@ -242,7 +242,7 @@ def test_maps_of_other_programs(matched: tuple[Path, Path], tmp_path: Path, caps
     disparity[:, :20] = -1
     write_pfm(tmp_path / "float.pfm", disparity)
     np.save(tmp_path / "sgbm.npy", np.rint(disparity * 16).astype(np.int16))
-    write_png(tmp_path / "codes.png", np.rint(np.maximum(disparity, 0) * 100).astype(np.uint16))
+    write_png(tmp_path / "codes.png", np.rint(np.maximum(disparity, 0) * 64).astype(np.uint16))
     np.save(tmp_path / "raft.npy", -disparity)
 
     def depth(name: str, *options: object) -> tuple[np.ndarray, str]:
@@ -256,7 +256,7 @@ def test_maps_of_other_programs(matched: tuple[Path, Path], tmp_path: Path, caps
         ("float.pfm", ("--invalid", "-1"), ""),
         ("sgbm.npy", (), "int16 disparities are divided by 16, as OpenCV's"),
         ("sgbm.npy", ("--scale", "16"), ""),
-        ("codes.png", ("--scale", "100"), ""),
+        ("codes.png", ("--scale", "64"), ""),
     ):
         found, said = depth(name, *options)
         assert np.isfinite(found).mean() == 0.8 and found[0, 51] == pytest.approx(2)
@@ -264,7 +264,7 @@ def test_maps_of_other_programs(matched: tuple[Path, Path], tmp_path: Path, caps
     by_hand = ("--focal", "400", "--baseline", "0.1", "-o", tmp_path / "none", "-q")
     assert run("depth", tmp_path / "codes.png", *by_hand) == 3
     said = capsys.readouterr().err
-    assert all(word in said for word in ("codes.png", "2050", "8.008 px", "--scale 256", "128.1 px", "--scale 16"))
+    assert all(word in said for word in ("codes.png", "1312", "5.125 px", "--scale 256", "82 px", "--scale 16"))
     assert run("depth", tmp_path / "raft.npy", *by_hand) == 3
     assert "most disparities are negative" in capsys.readouterr().err
     assert run("depth", matched[1], "--scale", "16", "-o", tmp_path / "none", "-q") == 2

@@ -305,3 +305,6 @@ def test_16_bit_codes_of_other_programs_need_a_scale(two_scenes: Path, tmp_path:
         assert result("sgm", "--scale", "16")[0] == 0
         code, said = result("kitti")
         assert code == 0 and "uint16" not in said
+        write_png(tmp_path / "large" / f"{name}.png", codes * np.uint16(16) | np.uint16(65520) * (codes == codes.min()))
+        code, said = result("large")  # with 16 codes per pixel, disparities were wider than the image
+        assert code == 0 and "divided by 256" in said

@@ -24,6 +24,7 @@ OPENCV_SCALE = 16.0
 """Codes per pixel of OpenCV's signed 16-bit disparities (``StereoSGBM``, ``StereoBM``)."""
 
 _OF_TRUTH = "(of ground truth: disp_scale in meta.json)"
+_NEGATIVE = 65520  # -16 of OpenCV, no value, as an unsigned code
 _KITTI_FOLDERS = ("disp_0", "disp_1")  # of maps for KITTI's server
 _MAX_BEHIND = 0.5  # largest share of negative disparities
 _NPZ_MAGIC = b"PK\x03\x04"
@@ -162,21 +163,25 @@ def read_disparity(
     """Return a disparity map, (H, W) float32, pixels, NaN = unknown.
 
     PFM, float npy and float TIFF are in pixels, unless ``scale`` is given. Integer codes (PNG, PGM, integer npy) are
-    divided by ``scale``, codes per pixel. Its default is 256 for unsigned 16-bit codes (KITTI), but none (ScaleError)
-    if ``asks``; 16 for signed ones (OpenCV), with a warning; and ``scale_8bit`` for 8-bit codes. Raise InputError for
-    other integers without a scale. :func:`without_value` defines which stored numbers are unknown.
+    divided by ``scale``, codes per pixel. Its default is 256 for unsigned 16-bit codes (KITTI); if ``asks``, they must be
+    too large for OpenCV's scale (else ScaleError), and a warning follows. It is 16 for signed ones (OpenCV), with a
+    warning, and ``scale_8bit`` for 8-bit codes. Raise InputError for other integers without a scale.
+    :func:`without_value` defines which stored numbers are unknown.
     """
     values = read_plane(path)
     if values.dtype.kind == "b":
         raise InputError(f"{shown(path)}: true or false, expected disparities")
     codes, kind, name = values.dtype.kind in "iu", values.dtype.str[1:], shown(path)
     if scale is None and codes:
-        if kind == "u2" and asks and (top := int(values.max())):
-            raise ScaleError(
-                f"{name}: uint16 disparities of unknown scale: the largest code, {top}, is {top / KITTI_SCALE:.4g} px "
-                f"in KITTI's files (--scale 256), {top / OPENCV_SCALE:.4g} px in OpenCV's (--scale 16) {_OF_TRUTH}; or "
-                "store pixels, as PFM"
-            )
+        if kind == "u2" and asks and (top := int(values.max(initial=0, where=values < _NEGATIVE))):
+            if top > OPENCV_SCALE * values.shape[1]:  # with 16 codes per pixel, wider than the image
+                warn(f"{name}: uint16 disparities are divided by 256, as KITTI's; --scale gives another {_OF_TRUTH}")
+            else:
+                raise ScaleError(
+                    f"{name}: uint16 disparities of unknown scale: the largest code, {top}, is {top / KITTI_SCALE:.4g} "
+                    f"px in KITTI's files (--scale 256), {top / OPENCV_SCALE:.4g} px in OpenCV's (--scale 16) "
+                    f"{_OF_TRUTH}; or store pixels, as PFM"
+                )
         scale = {"u1": scale_8bit, "u2": KITTI_SCALE, "i2": OPENCV_SCALE}.get(kind)
         if scale is None:
             bits = "8-bit" if values.itemsize == 1 else values.dtype
