@@ -163,8 +163,8 @@ def read_disparity(
     """Return a disparity map, (H, W) float32, pixels, NaN = unknown.
 
     PFM, float npy and float TIFF are in pixels, unless ``scale`` is given. Integer codes (PNG, PGM, integer npy) are
-    divided by ``scale``, codes per pixel. Its default is 256 for unsigned 16-bit codes (KITTI); if ``asks``, they must be
-    too large for OpenCV's scale (else ScaleError), and a warning follows. It is 16 for signed ones (OpenCV), with a
+    divided by ``scale``, codes per pixel. Its default is 256 for unsigned 16-bit codes (KITTI); if ``asks``, they must
+    be too large for OpenCV's scale (else ScaleError), and a warning follows. It is 16 for signed ones (OpenCV), with a
     warning, and ``scale_8bit`` for 8-bit codes. Raise InputError for other integers without a scale.
     :func:`without_value` defines which stored numbers are unknown.
     """
