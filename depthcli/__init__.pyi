@@ -5,7 +5,7 @@ from depthcli.core.errors import OutputError as OutputError
 from depthcli.core.maps import DepthStatus as DepthStatus
 from depthcli.core.maps import Status as Status
 from depthcli.core.maps import VolumeStatus as VolumeStatus
-from depthcli.io.formats.status import read_status as read_status
+from depthcli.io.formats.disparity import read_status as read_status
 from depthcli.problems.evaluation import Scores as Scores
 from depthcli.problems.evaluation import evaluate as evaluate
 from depthcli.problems.frames import RefinedDepth as RefinedDepth

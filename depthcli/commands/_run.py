@@ -24,7 +24,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.memory import BASE_BYTES
 from depthcli.core.text import one_line, show_bytes
 from depthcli.core.yaml_source import to_yaml
-from depthcli.io.formats.status import write_codes
+from depthcli.io.formats.disparity import write_codes
 from depthcli.io.scenes import find
 from depthcli.io.scenes.places import local
 from depthcli.io.scenes.rows import Layouts

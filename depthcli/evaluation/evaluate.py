@@ -22,11 +22,10 @@ from depthcli.evaluation.curves import HiddenPixels, hidden_pixels
 from depthcli.evaluation.map_files import MapNaming, find_runs, names_in_run, recognized
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load, missing_scores, picture
 from depthcli.evaluation.scores import MapResult
-from depthcli.io.formats.disparity import ScaleError
+from depthcli.io.formats.disparity import ScaleError, read_status
 from depthcli.io.formats.files import collected_warnings, short_path, warn, write_text
 from depthcli.io.formats.images import write_drawn
 from depthcli.io.formats.map_format import format_plugins
-from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import Scene, layout_plugins
 from depthcli.io.scenes.places import origin
 from depthcli.run.console import Reporter

@@ -20,11 +20,10 @@ from depthcli.io.formats.calibrations import read_color_infrared_rig
 from depthcli.io.formats.depth import check_fb, codes_of, read_depth
 from depthcli.io.formats.disparity import read_filled_mask, read_plane
 from depthcli.io.formats.files import naming, read_bytes, shown, warn
-from depthcli.io.formats.files_behind import kinect_files
 from depthcli.io.formats.images import image_size, read_color8, read_image
 from depthcli.io.formats.plain_text import json_object, numbers
 from depthcli.io.scenes import RgbdScene, RgbIrScene, check_same_size
-from depthcli.io.scenes.kinds import read_masks
+from depthcli.io.scenes.kinds import distortion_map, read_masks
 
 TRANSPARENT = "transparent"
 """Name of the mask of transparent objects."""
@@ -158,7 +157,8 @@ def true_depth(scene: RgbdScene) -> RgbdTruth:
 def _read_depth(scene: RgbdScene, path: Path, invalid: float | None = None) -> NDArray[np.float32]:
     # If the sensor's map has integer codes, the scale is theirs, and a floating-point map is in meters.
     floats = scene.scale_floats and (path == scene.depth or read_plane(scene.depth).dtype.kind == "f")
-    return read_depth(path, scene.depth_scale, 3 if scene.rotated else 0, invalid, floats)
+    rotate = 3 if scene.rotated else 0
+    return read_depth(path, scene.depth_scale, rotate=rotate, invalid=invalid, scale_floats=floats)
 
 
 def _visible_depth(scene: RgbdScene) -> NDArray[np.float32]:
@@ -212,10 +212,10 @@ def read_kinect_calibration(path: Path) -> KinectCalibration:
         if arrays["dc"][1] == 0 or min(arrays[k][i, i] for k in ("depth_K", "color_K") for i in (0, 1)) <= 0:
             raise InputError("singular: focal lengths and dc[1] must not be zero")
         depth, color = (Camera(arrays[f"{n}_K"], tuple(arrays[f"{n}_kc"].tolist())) for n in ("depth", "color"))
-    beta = kinect_files(path)
+    beta = distortion_map(path)
     start, slope = arrays["dc"].tolist()
     one, other = arrays["dc_alpha"].tolist()
     return KinectCalibration(
         depth, color, arrays["depth_to_color_R"], arrays["depth_to_color_t"], offset=-start / slope,
-        factor=-1.0 / slope, beta=read_plane(beta[0]).astype(np.float64) if beta else None, alpha=(one, other),
+        factor=-1.0 / slope, beta=None if beta is None else read_plane(beta).astype(np.float64), alpha=(one, other),
     )  # fmt: skip

@@ -19,10 +19,9 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.maps import DisparityMap
 from depthcli.io.formats.calibrations import Reading, read_geometry
 from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
-from depthcli.io.formats.disparity import check_sign, read_foreign_map, read_pfm
+from depthcli.io.formats.disparity import check_sign, read_foreign_map, read_pfm, read_status
 from depthcli.io.formats.files import collected_warnings, is_of_a_run, naming, shown
 from depthcli.io.formats.images import read_image
-from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import DisparityScene, Scene, StereoScene, check_same_size
 from depthcli.io.scenes.find import matches_any, scenes_with_files
 from depthcli.io.scenes.pairs import PAIRS

@@ -67,7 +67,7 @@ class Fuse(Pairs[FuseConfig]):
         files = self._volumes(scene)
         if files and self.ends(scene)[0] != 0:
             raise InputError(f"{scene.folder}: volumes made elsewhere begin at disparity 0; leave --min-disparity out")
-        return self.config.with_volumes(lambda: {name: map_npy(file, 3) for name, file in files.items()})
+        return self.config.with_volumes(lambda: {name: map_npy(file) for name, file in files.items()})
 
     def files(self, scene: StereoScene) -> dict[str, Path]:
         """Return role -> file for the pair, external volumes, and the network that chooses among maps."""

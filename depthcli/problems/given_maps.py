@@ -32,11 +32,10 @@ from depthcli.evaluation.map_files import (
     names_in_run,
     recognized,
 )
-from depthcli.io.formats.disparity import check_sign, read_foreign_map, read_plane, scale_of
+from depthcli.io.formats.disparity import check_sign, read_foreign_map, read_plane, read_status, scale_of
 from depthcli.io.formats.files import RECORD_FILE, collected_warnings
 from depthcli.io.formats.images import png_bytes, read_image, write_drawn
 from depthcli.io.formats.networks import network_path, read_errors, read_network
-from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import GivenMap, MapsScene, Scene, StereoScene, check_same_size
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair, view_size

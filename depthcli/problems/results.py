@@ -19,10 +19,9 @@ from depthcli.core.maps import DepthMap, DisparityMap, MatchedMap
 from depthcli.core.result import Result
 from depthcli.io.formats.calibrations import Reading, read_geometry
 from depthcli.io.formats.depth import MILLIMETERS, write_depth_png, write_points
-from depthcli.io.formats.disparity import write_disparity_png, write_pfm
+from depthcli.io.formats.disparity import write_disparity_png, write_pfm, write_status
 from depthcli.io.formats.files import warn, write_text
 from depthcli.io.formats.images import png_bytes, write_drawn, write_png
-from depthcli.io.formats.status import write_status
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.problems.rectified import Rectified

@@ -21,8 +21,8 @@ from depthcli.core.text import side_and_distance
 from depthcli.evaluation.evaluate import ScoredMap
 from depthcli.evaluation.map_files import PROBABILITY
 from depthcli.evaluation.protocols import AnyProtocol, ShownMap, shown_pixels
+from depthcli.io.formats.disparity import read_status
 from depthcli.io.formats.images import read_image
-from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import Scene
 from depthcli.report.packing import PackedScene, jpeg, pack, pack_bytes, png
 from depthcli.show.view import (

@@ -58,7 +58,6 @@ def make_kinect_sequence(
     *,
     speed: int = 4,
     fattening: int = 4,
-    noise: float = 0.3,
 ) -> list[KinectSample]:
     """Return a sequence as a Kinect records it: new noise in color and depth in every frame, exact truth.
 
@@ -85,7 +84,7 @@ def make_kinect_sequence(
     samples = []
     for color, truth, pose in shots:
         noisy = levels8(color + _COLOR_NOISE * rng.standard_normal(color.shape, np.float32))
-        sample = simulate_kinect(noisy, truth, int(rng.integers(2**31)), fattening=fattening, noise=noise, discs=0)
+        sample = simulate_kinect(noisy, truth, int(rng.integers(2**31)), fattening=fattening, discs=0)
         samples.append(
             replace(
                 sample,

@@ -12,9 +12,8 @@ from depthcli.core.errors import InputError
 from depthcli.core.maps import Status
 from depthcli.io.formats.calibrations import Reading, read_geometry, write_geometry
 from depthcli.io.formats.depth import read_depth
-from depthcli.io.formats.disparity import read_pfm, write_disparity_png, write_pfm
+from depthcli.io.formats.disparity import read_pfm, read_status, write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.status import read_status
 from tests.command_line import refused, rows, run
 
 V3 = """cam0=[713.189 0 56.021; 0 713.189 38.263; 0 0 1]

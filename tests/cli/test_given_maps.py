@@ -8,9 +8,8 @@ import pytest
 
 import depthcli
 from depthcli.core.maps import Status
-from depthcli.io.formats.disparity import read_pfm, write_pfm
+from depthcli.io.formats.disparity import read_pfm, read_status, write_pfm
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.status import read_status
 from tests.command_line import contents, refused, rows, run
 
 NAMES = ["foreground_0", "planes_0"]

@@ -18,10 +18,9 @@ from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import RectifiedRig, Rig
 from depthcli.core.errors import InputError
 from depthcli.io.formats.calibrations import Reading, read_geometry, read_rig
-from depthcli.io.formats.disparity import read_pfm, write_pfm
+from depthcli.io.formats.disparity import read_pfm, read_status, write_pfm
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.status import read_status
 from depthcli.methods.stereo.rectification import rectify_uncalibrated, row_error
 from depthcli.problems import rectified
 from tests.command_line import contents, refused, run

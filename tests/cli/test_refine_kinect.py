@@ -10,9 +10,8 @@ import pytest
 
 from depthcli.core.maps import DepthStatus
 from depthcli.io.formats.depth import read_depth
-from depthcli.io.formats.disparity import read_pfm, read_plane, write_pfm
+from depthcli.io.formats.disparity import read_pfm, read_plane, read_status, write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.io.formats.status import read_status
 from tests.command_line import contents, rows, run
 from tests.rendered import COLOR, COLOR_SHAPE, DEPTH, DEPTH_SHAPE, ROTATION, TRANSLATION, near_edges, noisy, rendered
 

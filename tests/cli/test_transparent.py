@@ -11,9 +11,8 @@ import pytest
 from depthcli.cli import main
 from depthcli.core.maps import DepthStatus
 from depthcli.io.formats.depth import read_depth
-from depthcli.io.formats.disparity import read_pfm, write_pfm
+from depthcli.io.formats.disparity import read_pfm, read_status, write_pfm
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.status import read_status
 
 
 def test_files_report_and_evaluation(made_glass, tmp_path, capsys):

@@ -89,7 +89,7 @@ def test_odd_values_in_calibrations_are_refused_in_a_line(tmp_path: Path, value)
 
 def map_costs(path):
     """Costs of a volume made elsewhere."""
-    return map_npy(path, 3)
+    return map_npy(path)
 
 
 READERS = [read_bytes, read_image, map_costs, image_size]
@@ -186,7 +186,7 @@ def test_arrays_that_announce_terabytes(tmp_path: Path):
     header = "{'descr': '<f4', 'fortran_order': False, 'shape': (20000, 20000, 10000), }".ljust(117) + "\n"
     path = tmp_path / "a.npy"
     path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + bytes(64))
-    refused(InputError, "file size", map_npy, path, 3)
+    refused(InputError, "file size", map_npy, path)
 
 
 def test_names_of_lists_are_unique(tmp_path: Path):

@@ -15,10 +15,9 @@ import pytest
 from depthcli.core.errors import InputError, OutputError
 from depthcli.core.maps import DepthStatus, Status
 from depthcli.io.formats import images
-from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.formats.disparity import read_status, write_codes, write_pfm, write_status
 from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, collected_warnings, write_text
 from depthcli.io.formats.images import bits_said, image_size, read_grey, read_image, read_pair, write_png
-from depthcli.io.formats.status import read_status, write_codes, write_status
 from depthcli.show.view import DEPTH_STATUS_PALETTE, MEASURED_CODE, STATUS_PALETTE, status_colors, status_words
 from tests.command_line import refused
 

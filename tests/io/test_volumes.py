@@ -12,9 +12,10 @@ from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, RegisteredPair
 from depthcli.io.formats.files import collected_warnings
-from depthcli.io.formats.files_behind import kinect_files, transform_files, volume_files
+from depthcli.io.formats.files_behind import transform_files, volume_files
 from depthcli.io.formats.volumes import read_grid, read_volume, write_array
 from depthcli.io.scenes import VolumePairScene
+from depthcli.io.scenes.kinds import distortion_map
 from depthcli.io.volume_pairs import LoadedPair, label_masks, load_volumes, true_errors
 from tests.command_line import refused
 
@@ -293,7 +294,7 @@ def test_what_is_read_beside_a_file_is_an_input(tmp_path: Path):
     chain = transform_files(tmp_path / "transform.txt")
     assert [file.name for file in chain] == ["b.txt", "c.txt", "transform.txt"]  # it comes back, and ends
     (tmp_path / "dc_beta.npy").touch()
-    assert kinect_files(tmp_path / "calib.json") == (tmp_path / "dc_beta.npy",)
+    assert distortion_map(tmp_path / "calib.json") == tmp_path / "dc_beta.npy"
 
 
 def test_a_changed_file_behind_a_header_is_computed_again(tmp_path: Path):

@@ -8,9 +8,8 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.maps import Status
-from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.formats.disparity import write_pfm, write_status
 from depthcli.io.formats.images import write_png
-from depthcli.io.formats.status import write_status
 
 SHAPE = (36, 48)
 ODD = """<script>alert("1")<&'x"""

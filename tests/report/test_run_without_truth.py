@@ -14,9 +14,8 @@ from depthcli.core.maps import Status
 from depthcli.evaluation.evaluate import ScoredMap
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.scores import MapResult
-from depthcli.io.formats.disparity import read_pfm, write_pfm
+from depthcli.io.formats.disparity import read_pfm, read_status, write_pfm
 from depthcli.io.formats.images import read_grey, read_image, write_png
-from depthcli.io.formats.status import read_status
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import VolumePairScene
 from depthcli.io.volume_pairs import RegistrationTruth

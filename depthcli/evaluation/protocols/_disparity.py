@@ -17,9 +17,8 @@ from depthcli.core.maps import Status
 from depthcli.evaluation.map_files import DisparityFiles, MapFiles
 from depthcli.evaluation.protocols import Presentation, Protocol, Settings, ShownMap, beside
 from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally, in_order
-from depthcli.io.formats.disparity import read_disparity, read_foreign_map, scale_of
+from depthcli.io.formats.disparity import read_disparity, read_foreign_map, read_status, scale_of
 from depthcli.io.formats.files import warn
-from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.stereo_pairs import StereoTruth, true_disparity
 from depthcli.show.view import STATUS_PALETTE

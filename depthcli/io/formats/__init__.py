@@ -5,8 +5,7 @@
 ``plain_text``    numbers, key-value lines, tables and JSON objects, as in calibrations
 ``images``        PNG, JPEG, Netpbm, TIFF, BMP: pixels, or codes of one channel; pairs
 ``exr``           channels of OpenEXR files
-``status``        status codes as a PNG, and the text that explains them
-``disparity``     disparities in pixels, masks, and any map of one channel (``read_plane``): PFM, npy, PNG, TIFF
+``disparity``     disparities in pixels, masks, status codes, and any map of one channel (``read_plane``)
 ``files_behind``  files that another file needs: values of a volume, chains of transforms
 ``map_format``    formats of maps that plug-ins add
 ``depth``         depths in meters, sensor codes, point clouds

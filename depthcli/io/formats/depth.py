@@ -42,20 +42,9 @@ def codes_of(values: NDArray[Any], path: Path | str) -> NDArray[np.uint16]:
     return values.astype(np.uint16)
 
 
-def read_depth(
-    path: Path | str,
-    scale: float | None = None,
-    rotate: int = 0,
-    invalid: float | None = None,
-    scale_floats: bool = True,
-) -> NDArray[np.float32]:
-    """Return a depth map, (H, W) float32, meters, NaN = unknown.
-
-    Integer codes (PNG, PGM, TIFF, npy) are rotated right by ``rotate`` bits (SUN RGB-D: 3) and divided by ``scale``,
-    codes per meter; the default for 16-bit codes is 1000. Floating-point values (PFM, npy, TIFF) are in meters, unless
-    ``scale_floats`` is set and a scale is given. :func:`meters` defines unknown values.
-    """
-    return meters(read_plane(path), scale, path, rotate, invalid, scale_floats)
+def read_depth(path: Path | str, scale: float | None = None, **options: Any) -> NDArray[np.float32]:
+    """Return a depth map, (H, W) float32, meters, NaN = unknown, with the options of :func:`meters`."""
+    return meters(read_plane(path), scale, path, **options)
 
 
 def meters(
@@ -66,7 +55,11 @@ def meters(
     invalid: float | None = None,
     scale_floats: bool = True,
 ) -> NDArray[np.float32]:
-    """Convert stored numbers to (H, W) float32 meters, NaN = unknown, with the options of :func:`read_depth`.
+    """Convert stored numbers to (H, W) float32 meters, NaN = unknown.
+
+    Integer codes are rotated right by ``rotate`` bits (SUN RGB-D: 3) and divided by ``scale``, codes per meter; the
+    default for 16-bit codes is 1000. Floating-point values are in meters, unless ``scale_floats`` is set and a scale is
+    given.
 
     Values that are not positive and finite, or are ``invalid``, are unknown. The largest uint16 and float16, and
     greater depths, are unknown, too, with a warning. Implausible depths cause a warning that begins with ``name``.

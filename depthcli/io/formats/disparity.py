@@ -1,9 +1,11 @@
-"""Disparity maps, masks and other maps as files: PFM, KITTI PNG, scaled 8-bit images, npy, npz."""
+"""Disparity maps, masks, status maps and other maps as files: PFM, KITTI PNG, scaled 8-bit images, npy, npz."""
 
 from __future__ import annotations
 
 import contextlib
 import math
+import zlib
+from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -12,10 +14,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
+from depthcli.core.maps import without_smoothed
 from depthcli.io.formats.exr import read_exr
-from depthcli.io.formats.files import is_of_a_run, naming, open_regular, read_bytes, shown, warn, write_bytes
-from depthcli.io.formats.images import NPY_MAGIC, decode_numbers, image_kind, pfm_header, png_bytes, read_grey
-from depthcli.io.formats.map_format import read_by_plugin
+from depthcli.io.formats.files import (
+    is_of_a_run,
+    naming,
+    open_regular,
+    read_bytes,
+    shown,
+    warn,
+    write_bytes,
+    write_text,
+)
+from depthcli.io.formats.images import (
+    NPY_MAGIC,
+    decode_bits,
+    decode_numbers,
+    image_kind,
+    pfm_header,
+    png_bytes,
+    read_grey,
+)
+from depthcli.io.formats.map_format import MAP_SUFFIXES, read_by_plugin
+from depthcli.show.view import MEASURED_CODE, Palette, status_words
 
 KITTI_SCALE = 256.0
 """Codes per pixel of 16-bit disparity PNGs (KITTI, DSEC)."""
@@ -227,7 +248,7 @@ def read_pfm(path: Path | str) -> NDArray[np.float32]:
 
 def read_plane(path: Path | str) -> NDArray[Any]:
     """Return (H, W) numbers as stored: a map (PFM, npy, npz, float TIFF), codes, or a plug-in's values."""
-    if (plane := read_by_plugin(path)) is not None:
+    if Path(path).suffix.lower() not in MAP_SUFFIXES and (plane := read_by_plugin(path)) is not None:
         return plane
     data = read_bytes(path)
     with naming(path):
@@ -266,14 +287,14 @@ def read_filled_mask(path: Path | str) -> NDArray[np.bool_]:
     return inside
 
 
-def map_npy(path: Path | str, dimensions: int) -> NDArray[Any]:
-    """Return the memory-mapped array of a ``.npy`` file; only the parts in use are read."""
+def map_npy(path: Path | str) -> NDArray[Any]:
+    """Return the memory-mapped (H, W, D) array of a ``.npy`` file; only the parts in use are read."""
     with open_regular(path), naming(path):
         try:
             array = np.load(path, mmap_mode="r", allow_pickle=False)
         except Exception as error:  # damaged headers raise many kinds
             raise InputError(f"damaged, or no .npy file ({str(error)[:200]})") from None
-        return _numbers(array, dimensions)
+        return _numbers(array, 3)
 
 
 def squeezed(array: NDArray[Any], dimensions: int) -> NDArray[Any]:
@@ -359,3 +380,48 @@ def encode_disparity_png(disparity: NDArray[np.floating[Any]]) -> bytes:
     with np.errstate(all="ignore"):
         codes = np.clip(np.rint(disparity * KITTI_SCALE), 1, 65535)  # exact in any precision: a power of two
     return png_bytes(np.where(np.isfinite(disparity), codes, 0).astype(np.uint16))
+
+
+class StatusMap(np.ndarray[Any, np.dtype[np.uint8]]):
+    """(H, W) uint8: the codes of a status map, bits of ``Status`` or ``DepthStatus``."""
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """(H, W) bool, True for measured pixels (code 0)."""
+        measured: NDArray[np.bool_] = np.asarray(self) == 0
+        return measured
+
+
+def write_status(path: Path | str, status: NDArray[np.uint8]) -> None:
+    """Write (H, W) uint8 codes as a one-channel 8-bit PNG for :func:`read_status`."""
+    from PIL import Image
+
+    if status.ndim != 2 or status.dtype != np.uint8:
+        raise ValueError(f"expected (H, W) uint8, got {status.shape} {status.dtype}")
+    file = BytesIO()
+    picture = Image.frombytes("L", status.shape[::-1], np.ascontiguousarray(status).tobytes())
+    # For these files of few codes, run lengths compress as well as a search for repetitions, in 1/7 of the time.
+    picture.save(file, "PNG", compress_level=1, compress_type=zlib.Z_RLE)
+    write_bytes(path, file.getvalue())
+
+
+def read_status(path: Path | str) -> StatusMap:
+    """Return the codes of ``status.png``, (H, W) uint8, with ``measured``. Raise InputError if it cannot be read.
+
+    Files of versions up to 0.2.0 have a palette and bit 32, "smoothed", which is removed.
+
+    Examples
+    --------
+    >>> import depthcli
+    >>> depthcli.read_status("run/scene/status.png").measured.mean()  # doctest: +SKIP
+    """
+    data = read_bytes(path)
+    with naming(path):
+        return without_smoothed(decode_bits(data)).view(StatusMap)
+
+
+def write_codes(path: Path | str, palette: Palette, values: Iterable[int] | None = None) -> None:
+    """Write the text that explains the codes of status maps; the default ``values`` are 0 and each single bit."""
+    codes = sorted(set(palette if values is None else map(int, values)))
+    rows = [f"{code:3d}  {status_words(code, palette)}" for code in codes]
+    write_text(path, "\n".join(["Codes of status.png, sums of bits:", *rows, "", MEASURED_CODE, ""]))

@@ -22,18 +22,13 @@ _MAX_EXPANSION = 4000  # pixels of a channel per stored byte; deflate expands by
 _DEPTH_NAMES = ("z", "depth", "d", "v", "disparity", "disp")  # last part of the value channel's name
 
 
-def exr_size(path: Path | str) -> tuple[int, int]:
-    """Return height and width from the header. Raise InputError if the file is damaged or too large."""
-    return _header(path)[0]
-
-
 def read_exr(path: Path | str) -> NDArray[Any]:
     """Return the value channel of a file, (H, W) float16, float32 or uint32, as stored.
 
     It is the only channel, the one called Z, depth or V (with a warning about others), or R if R, G and B are equal.
     Raise InputError if there is no such channel, the file has several or incomplete images, or OpenEXR is missing.
     """
-    size, window = _header(path)
+    size, window = exr_sizes(path)
     try:
         with _module().File(os.fspath(path), separate_channels=True) as file:
             n_parts = len(file.parts)
@@ -74,8 +69,11 @@ def _channel(channels: dict[str, NDArray[Any]]) -> str:
     )
 
 
-def _header(path: Path | str) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return (height, width) of the stored part and of the whole image. Raise InputError if they are too large."""
+def exr_sizes(path: Path | str) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return (height, width) of the stored part and of the whole image, from the header.
+
+    Raise InputError if the file is damaged or too large.
+    """
     try:
         with _module().File(os.fspath(path), header_only=True) as file:
             windows = [file.header()[name] for name in ("dataWindow", "displayWindow")]

@@ -85,7 +85,8 @@ def read_field(path: Path, fixed: Grid) -> Field:
                 return _in_voxels(values.transpose(1, 2, 3, 0), fixed)
             named = _named_by_intent(header.GetMetaData("intent_name").strip(), header.GetMetaData("intent_p1"))
         elif suffix_of(path) in (".nrrd", ".nhdr"):
-            frame = _measurement_frame(itk_header(path))
+            header, key = itk_header(path), "NRRD_measurement frame"
+            frame = " ".join(header.GetMetaData(key).split()) if header.HasMetaDataKey(key) else ""
             if frame and frame != "(1,0,0) (0,1,0) (0,0,1)":
                 raise InputError(
                     f"its vectors are in a measurement frame of their own ({frame[:100]}), which is not read"
@@ -107,11 +108,6 @@ def _named_by_intent(name: str, parameter: str) -> str:
             "displacement"
         )
     return named
-
-
-def _measurement_frame(header: Any) -> str:
-    key = "NRRD_measurement frame"
-    return " ".join(header.GetMetaData(key).split()) if header.HasMetaDataKey(key) else ""
 
 
 def _spline(field: Field) -> Any:

@@ -1,4 +1,4 @@
-"""Find files that another file needs: the values of a volume, a chain of transforms, the map of a calibration."""
+"""Find files that another file needs: the values of a volume, a chain of transforms."""
 
 from __future__ import annotations
 
@@ -20,12 +20,6 @@ MAX_CHAIN = 100
 _HEADER_BYTES = 1 << 20  # start of a MetaImage or NRRD file to search for the name of its data file
 _DATA_FILE = re.compile(rb"^(?:ElementDataFile\s*[=:]|data ?file:)[ \t]*([^\r\n]+)\r?\n?((?:[^\r\n]+\r?\n?)*)", re.M)
 _INITIAL = re.compile(r'^\s*\(InitialTransformParameters?FileName\s+("[^"\n]*"|[^\s)]+)', re.MULTILINE)
-
-
-def kinect_files(path: Path) -> tuple[Path, ...]:
-    """Return the files that a Kinect calibration needs: ``dc_beta.npy``, if it exists."""
-    beta = path.with_name("dc_beta.npy")
-    return (beta,) if beta.is_file() else ()
 
 
 def nifti_header(path: Path) -> bytes:

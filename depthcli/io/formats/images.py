@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image as Image
 from depthcli.core.frames import StereoPair, color8, luma
-from depthcli.io.formats.exr import EXR_MAGIC, exr_size
+from depthcli.io.formats.exr import EXR_MAGIC, exr_sizes
 from depthcli.io.formats.files import naming, open_regular, read_bytes, shown, warn, write_bytes
 
 if TYPE_CHECKING:
@@ -294,7 +294,7 @@ def image_size(path: Path | str) -> tuple[int, int]:
         if kind in ("Pnm", "Pfm"):
             return (pnm_header if kind == "Pnm" else pfm_header)(data)[0][:2]
         if kind == "Exr":
-            return exr_size(path)
+            return exr_sizes(path)[0]
         with _decoding(kind):
             if kind == "Npy":
                 shape = tuple(n for n in np.load(path, mmap_mode="r").shape if n > 1) or (1, 1)

@@ -71,9 +71,7 @@ def format_plugins(files: Iterable[Path]) -> set[Plugin]:
 
 def read_by_plugin(path: Path | str) -> NDArray[Any] | None:
     """Return the map that a plug-in reads from a file, or None if no plug-in reads its ending."""
-    suffix = Path(path).suffix.lower()
-    reader = None if suffix in MAP_SUFFIXES else map_formats().get(suffix)
-    if reader is None:
+    if (reader := map_formats().get(Path(path).suffix.lower())) is None:
         return None
     with open_regular(path):  # raises if the file is not regular or cannot be opened
         pass

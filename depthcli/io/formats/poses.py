@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -21,11 +22,11 @@ _MAX_DELAY = 0.02  # seconds, as in the TUM RGB-D benchmark's associate.py
 _TIME_TOLERANCE = 1e-6  # largest rounding error of times, seconds
 
 
-class Poses:
-    """Poses with sorted times (seconds or frame numbers), or in the order of frames if ``times`` is empty."""
+class Poses(NamedTuple):
+    """Poses with sorted times, or in the order of frames if ``times`` is empty."""
 
-    def __init__(self, times: list[float], matrices: list[NDArray[np.float64]]) -> None:
-        self.times, self.matrices = times, matrices
+    times: list[float]  # seconds, or frame numbers
+    matrices: list[NDArray[np.float64]]  # (4, 4)
 
     def at(self, time: float) -> Pose | None:
         """Return the pose at a time, interpolated between neighbors within 20 ms; None if there are none."""

@@ -18,7 +18,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.files import RUN_FILE, read_bytes
 from depthcli.io.scenes.frames import FRAMES, named_frame
 from depthcli.io.scenes.kinds import RgbdScene, Scene, StereoScene, VolumePairScene
-from depthcli.io.scenes.pairs import PAIRS, STDIN, is_table, named_pairs, scenes_of_table, suggested_patterns
+from depthcli.io.scenes.pairs import PAIRS, STDIN, named_pairs, scenes_of_table, suggested_patterns
 from depthcli.io.scenes.places import is_archive, local
 from depthcli.io.scenes.rows import Folder, Layout, Layouts, SceneT, rows_in_file
 from depthcli.io.scenes.volumes import VOLUMES, named_volumes
@@ -31,6 +31,7 @@ _OWN_NAMES: dict[type[Scene], str] = {  # kind of scene -> simple file names to 
     StereoScene: "NAME_L.* and NAME_R.*",
     RgbdScene: "NAME/color.* and NAME/depth.*",
 }
+_TABLE_SUFFIXES = (".csv", ".tsv")
 _LEVELS = 2  # folder levels to search: data sets, then their scenes
 _MAX_ABOVE = 6  # parent folders to search for the layout of a file; Driving (Scene Flow datasets) is the deepest
 _MAX_RUN_BYTES = 1 << 20  # of a run file; all presets are below 10 kB
@@ -113,8 +114,8 @@ def named_scenes(kind: type[Scene], options: Mapping[str, Any]) -> list[Scene]:
 def scenes_at(
     place: Path, layouts: Layouts[SceneT], layout: str | None, patterns: Sequence[str], warn: Warn
 ) -> list[SceneT]:
-    """Return the scenes in a table of files, or in a folder with :func:`discover_scenes`."""
-    if not is_table(place):
+    """Return the scenes in a table (CSV, TSV, or ``-`` for standard input), or in a folder: :func:`discover_scenes`."""
+    if place != STDIN and not (os.path.isfile(place) and place.suffix.lower() in _TABLE_SUFFIXES):
         return cast(list[SceneT], discover_scenes(place, layouts, layout, patterns, warn))
     if not issubclass(StereoScene, layouts.kind):
         raise ConfigError(f"{place}: tables list stereo pairs only; expected a folder with one folder per scene")

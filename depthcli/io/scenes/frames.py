@@ -12,7 +12,7 @@ from depthcli.core.cameras.camera import Place, check_place
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.plain_text import numbers, text_of
-from depthcli.io.formats.poses import Poses, read_poses
+from depthcli.io.formats.poses import Poses, pose_of, read_poses
 from depthcli.io.scenes.kinds import RgbdScene, RgbIrScene, Scene
 from depthcli.io.scenes.rows import NUMBER, Folder, Found, Layout, LayoutRow, Layouts, Meta, name_of_file
 
@@ -64,8 +64,11 @@ def _meta(folder: Folder) -> dict[str, Any]:
     """Return the scene fields from ``meta.json``."""
     meta = folder.meta
     scale = meta.positive("depth_scale")
-    facts = {"fb": meta.positive("fb"), "pose": meta.pose(), "protocol": meta.text("protocol", "depth")}
+    facts: dict[str, Any] = {"fb": meta.positive("fb"), "pose": None, "protocol": meta.text("protocol", "depth")}
     facts["sparse_source"] = meta.text("sparse_source", "")
+    if (pose := meta.fields.get("pose")) is not None:
+        with naming(meta.path):
+            facts["pose"] = pose_of(numbers(pose, "pose", (4, 4)))
     return cameras(meta) | facts | ({"depth_scale": scale, "scale_floats": True} if scale else {})
 
 

@@ -20,7 +20,7 @@ from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import read_disparity, read_mask
 from depthcli.io.formats.files import shown, warn
-from depthcli.io.formats.files_behind import kinect_files, transform_files, volume_files
+from depthcli.io.formats.files_behind import transform_files, volume_files
 
 MAX_DISPARITY = 1 << 20
 """Largest absolute disparity that a file may request, pixels; no image is as wide."""
@@ -193,9 +193,9 @@ class RgbdScene(Scene):
 
     @property
     def input_files(self) -> dict[str, Path]:
-        """Role -> file that a method may read, with the files of a Kinect calibration."""
-        behind = kinect_files(self.calibration) if self.calibration is not None and self.raw else ()
-        return super().input_files | {f"calibration: {file.name}": file for file in behind}
+        """Role -> file that a method may read, with the distortion map of a Kinect calibration."""
+        beta = distortion_map(self.calibration) if self.calibration is not None and self.raw else None
+        return super().input_files | ({} if beta is None else {f"calibration: {beta.name}": beta})
 
     def with_scale(self, scale: float | None) -> Self:
         """Return the scene with this number of codes per meter; None and raw scenes change nothing."""
@@ -280,6 +280,12 @@ class VolumePairScene(Scene):
             return ""
         needed = "landmarks_fixed.*" if self.landmarks_fixed is None else "displacement.* or transform.*"
         return f"{self.landmarks_moving}: true errors at landmarks need {needed} beside it"
+
+
+def distortion_map(calibration: Path) -> Path | None:
+    """Return the file ``dc_beta.npy`` beside a Kinect calibration, or None."""
+    beta = calibration.with_name("dc_beta.npy")
+    return beta if beta.is_file() else None
 
 
 def check_same_size(file: Path, shape: Sequence[int], other: Path, wanted: Sequence[int], why: str = "") -> None:

@@ -380,7 +380,6 @@ PAIRS = Layouts.of(
 )  # fmt: skip
 
 
-_TABLE_SUFFIXES = (".csv", ".tsv")
 _MAX_BYTES = 1 << 28  # largest table
 _COLUMNS = ("left", "right", "name", "calibration", "max_disparity", "min_disparity")
 _WILD = re.compile(r"[*?\[]")
@@ -403,7 +402,7 @@ def named_pairs(values: Mapping[str, Any]) -> list[Scene]:
 
     With ``halves``, or for an MPO file, the files of ``left`` hold both views.
     """
-    left, right, halves = (values.get(name) for name in ("left", "right", "halves"))
+    left, right, halves = map(values.get, ("left", "right", "halves"))
     if halves is not None and halves not in (LEFT_RIGHT, TOP_BOTTOM):
         raise ConfigError(f"--halves: must be {LEFT_RIGHT} or {TOP_BOTTOM} (got {halves[:40]!r})")
     if halves is not None and (left is None or right is not None):
@@ -538,11 +537,6 @@ def suggested_patterns(folder: Path) -> tuple[str, str] | None:
             suffixes = [Counter(image.file.suffix for image in _images(place)).most_common(1)[0][0] for place in both]
             return f"{both[0]}/*{suffixes[0]}", f"{both[1]}/*{suffixes[1]}"
     return None
-
-
-def is_table(path: Path) -> bool:
-    """Return whether a path names a table of pairs: a CSV or TSV file, or ``-`` for standard input."""
-    return path == STDIN or (os.path.isfile(path) and path.suffix.lower() in _TABLE_SUFFIXES)
 
 
 def scenes_of_table(path: Path) -> list[StereoScene]:

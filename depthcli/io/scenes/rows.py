@@ -28,8 +28,7 @@ from depthcli.core.yaml_source import read_config
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
-from depthcli.io.formats.plain_text import json_object, numbers
-from depthcli.io.formats.poses import Pose, pose_of
+from depthcli.io.formats.plain_text import json_object
 from depthcli.io.scenes.kinds import RgbdScene, Scene, StereoScene
 
 SceneT = TypeVar("SceneT", bound=Scene)
@@ -172,14 +171,6 @@ class Meta(NamedTuple):
         if top is not None and top <= low:
             raise self.error("max_disparity", f"a number above {low}")
         return {"min_disparity": low, "max_disparity": top}
-
-    def pose(self) -> Pose | None:
-        """Return the camera-to-world matrix below the key ``pose``."""
-        value = self.fields.get("pose")
-        if value is None:
-            return None
-        with naming(self.path):
-            return pose_of(numbers(value, "pose", (4, 4)))
 
     def error(self, key: str, wanted: str) -> InputError:
         """Return an error with the message that the field ``key`` must be ``wanted``."""

@@ -10,9 +10,8 @@ import pytest
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.io.formats.disparity import read_disparity, read_pfm, write_pfm
+from depthcli.io.formats.disparity import read_disparity, read_pfm, read_status, write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.io.formats.status import read_status
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, matched_beyond, matched_range
 from depthcli.methods.stereo.volume import StereoResult
