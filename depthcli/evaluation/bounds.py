@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -18,7 +19,7 @@ from depthcli.core.yaml_source import parse_config
 from depthcli.evaluation.curves import ConfidenceCurve, reliability
 from depthcli.evaluation.map_files import PROBABILITY
 from depthcli.evaluation.protocols import AnyProtocol, shown_pixels
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, mean_of_scenes, percent, pooled
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Key, Metric, Score, Tally, mean_of_scenes, percent
 
 COVERAGE, WORST, COVERING = "bound coverage", "bound coverage, worst map", "bound coverage, maps"
 """Share of pixels inside the bound; smallest share of all maps; share of maps near or above the level."""
@@ -130,11 +131,17 @@ def bound_scores(
 
 def bound_means(maps: Sequence[Sequence[Score]]) -> list[Score]:
     """Return the means over the scores of several maps, which weigh alike, with the worst coverage and who covers."""
-    made = pooled(mean_of_scenes, ((scores, 1.0) for scores in maps))
-    for score in [score for score in made if score.metric.name == COVERAGE]:
-        found = [s.value for scores in maps for s in scores if s.key == score.key and not math.isnan(s.value)]
-        enough = sum(value >= (score.metric.threshold or 0) - _TOLERANCE for value in found)
-        of_maps = Metric(COVERING, "% of maps", score.metric.threshold, ESTIMATED_ONLY, larger_is_better=True)
-        made.append(replace(score, metric=replace(score.metric, name=WORST), value=min(found, default=math.nan)))
-        made.append(replace(score, metric=of_maps, value=percent(enough, len(found)), pixels=len(found)))
-    return made
+    groups: dict[Key, list[Score]] = {}
+    for score in itertools.chain(*maps):
+        groups.setdefault(score.key, []).append(score)
+    made, of_maps = [], []
+    for (metric, _), scores in groups.items():
+        mean = mean_of_scenes(scores, [1.0] * len(scores))
+        made.append(mean)
+        if metric.name == COVERAGE:
+            found = [score.value for score in scores if not math.isnan(score.value)]
+            enough = sum(value >= (metric.threshold or 0) - _TOLERANCE for value in found)
+            covering = Metric(COVERING, "% of maps", metric.threshold, ESTIMATED_ONLY, larger_is_better=True)
+            of_maps.append(replace(mean, metric=replace(metric, name=WORST), value=min(found, default=math.nan)))
+            of_maps.append(replace(mean, metric=covering, value=percent(enough, len(found)), pixels=len(found)))
+    return made + of_maps

@@ -12,7 +12,7 @@ import numpy as np
 
 from depthcli.core.text import summarized
 from depthcli.evaluation.bounds import bound_means
-from depthcli.evaluation.protocols import AnyProtocol, scene_means
+from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.scores import COMMON_MEAN, MEAN, Key, MapResult, Score, in_order, record
 from depthcli.evaluation.statistics import PairedTest, Ranking, average_ranks, compare_all
 from depthcli.run.flags import Flags
@@ -21,7 +21,7 @@ from depthcli.run.flags import Flags
 class Section:
     """The results of one data set under one protocol; every run has a result for every scene.
 
-    The mean over all scenes (``MEAN``) counts a scene without a map as wholly wrong. That over the common scenes
+    The mean over all scenes (``MEAN``) counts a scene without a map as wholly wrong. The mean over the common scenes
     (``COMMON_MEAN``), of which every run has a map, compares what was computed, as ranks do. A mean in one region is
     over the scenes that have truth in it.
 
@@ -42,22 +42,26 @@ class Section:
         self, data_set: str, protocol: AnyProtocol, runs: tuple[str, ...], results: Sequence[MapResult]
     ) -> None:
         self.data_set, self.protocol, self.runs, self.results = data_set, protocol, runs, tuple(results)
-        self.scenes = list(dict.fromkeys(result.scene for result in results))
-        self.missing = {run: frozenset(r.scene for r in results if r.run == run and r.error) for run in runs}
-        self.common = frozenset(self.scenes).difference(*self.missing.values())
+        self.missing: dict[str, set[str]] = {run: set() for run in runs}
+        self.scores: dict[tuple[str, str], dict[Key, Score]] = {}
+        known: dict[str, set[str]] = {}
+        scenes, keys = dict[str, None](), dict[Key, None]()
+        for r in results:
+            scenes[r.scene] = None
+            if r.error:
+                self.missing[r.run].add(r.scene)
+            self.scores[r.run, r.scene] = {score.key: score for score in r.scores}
+            for key, score in self.scores[r.run, r.scene].items():
+                keys[key] = None
+                known.setdefault(score.region, set()).update([] if math.isnan(score.density) else [r.scene])
+        self.scenes, self.keys = list(scenes), list(keys)
+        self.common = set(scenes).difference(*self.missing.values())
         self.places = [MEAN] if len(self.common) == len(self.scenes) else [MEAN, COMMON_MEAN]
-        self.scores = {(r.run, r.scene): {score.key: score for score in r.scores} for r in results}
-        scored = [(score, scene) for (_, scene), scores in self.scores.items() for score in scores.values()]
-        self.keys = list(dict.fromkeys(score.key for score, _ in scored))
-        self.regions = in_order((score.region for score, _ in scored), protocol.region_order)
-        self.known = {
-            region: frozenset(scene for s, scene in scored if s.region == region and not math.isnan(s.density))
-            for region in self.regions
-        }
+        self.regions = in_order(known, protocol.region_order)
+        self.known = {region: known[region] for region in self.regions}
         for run in runs:
             for place in self.places:
-                mean = protocol.mean(self.results_of(run, place))
-                self.scores[run, place] = {score.key: score for score in mean}
+                self.scores[run, place] = {score.key: score for score in protocol.mean(self.results_of(run, place))}
         named = self.regions if protocol.averages_regions else self.regions[:1]
         self.figure_regions = [name for name in named if len(self.known[name]) == len(self.scenes)] or named[:1]
         self.figure_keys: list[Key] = [(protocol.headline, region) for region in self.figure_regions]
@@ -66,9 +70,14 @@ class Section:
         """Return one run's results of all scenes, or of the common ones."""
         return [r for r in self.results if r.run == run and (place == MEAN or r.scene in self.common)]
 
-    def scenes_of(self, place: str, region: str) -> frozenset[str]:
-        """Return the names of the scenes that a mean in a region is over."""
-        return self.known[region] if place == MEAN else self.known[region] & self.common
+    def counts(self, run: str, region: str | None = None) -> dict[str, int]:
+        """Return the numbers of scenes, with truth in a region: all, those that the run lacks, those all runs have."""
+        scenes = set(self.scenes) if region is None else self.known[region]
+        return {
+            "scenes": len(scenes),
+            "missing": len(scenes & self.missing[run]),
+            "common": len(scenes & self.common),
+        }
 
     def score(self, run: str, place: str, key: Key) -> Score:
         """Return the score of a scene, or a mean; NaN if there is none."""
@@ -81,40 +90,45 @@ class Section:
         keys = self.figure_keys
         if len(keys) == 1:  # the mean of that region, which a protocol may compute in its own way
             return self.score(run, place, keys[0])
-        scored = ((self.scores[run, r.scene], r.scene) for r in self.results_of(run, place))
-        together = [([replace(s[k], region=keys[0][1]) for k in keys if k in s], scene) for s, scene in scored]
-        return (scene_means(self.protocol, together) or [self.score(run, place, keys[0])])[0]
+        scored: list[tuple[list[Score], str]] = []
+        for r in self.results_of(run, place):
+            scores = self.scores[run, r.scene]
+            scored.append(([replace(scores[key], region=keys[0][1]) for key in keys if key in scores], r.scene))
+        return (self.protocol.pooled(scored) or [self.score(run, place, keys[0])])[0]
 
     def bounds(self, run: str) -> list[Score]:
         """Return the means over all maps with bounds of their scores."""
         return bound_means([r.bounds for r in self.results_of(run) if r.bounds])
 
     def threshold_curve(self, run: str) -> list[Score]:
-        """Return the means over all scenes of one metric at many thresholds."""
-        return scene_means(self.protocol, ((r.dense, r.scene) for r in self.results_of(run)))
+        """Return one metric at many thresholds over all scenes, by the protocol's rule."""
+        return self.protocol.pooled((r.dense, r.scene) for r in self.results_of(run))
 
-    def by_scene(self, run: str) -> list[float]:
-        """Return one run's single figure of every scene, lower is better: signed; NaN if there is no map."""
-        sign, n = self.protocol.headline.sign, len(self.figure_keys)
-        figures = []
-        for scene in self.scenes:
-            total = math.fsum(self.score(run, scene, key).value for key in self.figure_keys)
-            figures.append(math.nan if scene in self.missing[run] else sign * total / n)
+    @cached_property
+    def by_scene(self) -> dict[str, list[float]]:
+        """Run -> single figure of every scene, lower is better: signed; NaN if there is no map."""
+        figures: dict[str, list[float]] = {run: [] for run in self.runs}
+        for run, values in figures.items():
+            for scene in self.scenes:
+                total = math.fsum(self.score(run, scene, key).value for key in self.figure_keys)
+                figure = self.protocol.headline.sign * total / len(self.figure_keys)
+                values.append(math.nan if scene in self.missing[run] else figure)
         return figures
 
     @cached_property
     def ranking(self) -> Ranking:
         """The runs from the best single figure to the worst; runs without one last, by the common scenes."""
-        sign = self.protocol.headline.sign
-        both = {run: [sign * self.overall(run, place).value for place in (MEAN, COMMON_MEAN)] for run in self.runs}
-        order = sorted(self.runs, key=lambda run: [(math.isnan(v), 0.0 if math.isnan(v) else v) for v in both[run]])
+        order: list[tuple[Any, ...]] = []
+        for number, run in enumerate(self.runs):
+            values = (self.protocol.headline.sign * self.overall(run, place).value for place in (MEAN, COMMON_MEAN))
+            order.append((*[(math.isnan(v), 0.0 if math.isnan(v) else v) for v in values], number, run))
         ranks = self.average_rank(self.figure_keys) if len(order) > 1 else None
-        return Ranking(order, {run: self.by_scene(run) for run in self.runs}, ranks)
+        return Ranking([run for *_, run in sorted(order)], self.by_scene, ranks)
 
     @cached_property
     def pairs(self) -> list[tuple[str, str, PairedTest, float]]:
         """Run, other run, test of the second against the first, and its corrected p value: all pairs of runs."""
-        return compare_all({run: self.by_scene(run) for run in self.ranking.runs})
+        return compare_all({run: self.by_scene[run] for run in self.ranking.runs})
 
     def average_rank(self, keys: Sequence[Key]) -> dict[str, float]:
         """Return run -> mean rank over the common scenes and (metric, region) pairs; equal values share a rank."""
@@ -127,62 +141,51 @@ class Section:
         """Return the means of every run, metric and region, over all scenes and common ones, for ``scores.csv``."""
         made = []
         for run in self.runs:
+            where = {"run": run, "data_set": self.data_set, "protocol": self.protocol.name}
             for key in self.scores[run, MEAN]:
-                counts = self._counts(run, key[1])
+                counts = self.counts(run, key[1])
                 missing = f", {counts['missing']} missing ones counted as wholly wrong" if counts["missing"] else ""
-                notes = {
-                    MEAN: f"over {counts['scenes']} scenes{missing}",
-                    COMMON_MEAN: f"over the {counts['common']} scenes that all runs have",
-                }
-                for place, note in notes.items():
-                    word = place.replace("mean", self.protocol.presentation.mean_heading)
-                    where = {"run": run, "data_set": self.data_set, "scene": word, "protocol": self.protocol.name}
+                for place, note in (
+                    (MEAN, f"over {counts['scenes']} scenes{missing}"),
+                    (COMMON_MEAN, f"over the {counts['common']} scenes that all runs have"),
+                ):
+                    where["scene"] = place.replace("mean", self.protocol.presentation.mean_heading)
                     made.append(record(where, self.score(run, place, key), note=note))
-            where = {"run": run, "data_set": self.data_set, "scene": MEAN, "protocol": self.protocol.name}
+            bounds = self.bounds(run)
             note = f"over {sum(bool(r.bounds) for r in self.results_of(run))} maps with bounds"
-            made += [record(where, score, note=note) for score in self.bounds(run)]
+            made += [record(where | {"scene": MEAN}, score, note=note) for score in bounds]
         return made
 
-    def to_dict(self) -> dict[str, list[dict[str, Any]]]:
+    def to_dict(self, with_pairs: bool) -> dict[str, list[dict[str, Any]]]:
         """Return means, figures, curves and tests as plain values."""
         found: dict[str, list[dict[str, Any]]] = {
-            name: [] for name in ("means", "headlines", "by_threshold", "bounds", "comparisons")
-        }
+            "means": [], "headlines": [], "by_threshold": [], "bounds": [], "comparisons": [], "pairs": []
+        }  # fmt: skip
         about = {"data_set": self.data_set, "protocol": self.protocol.name}
+        statistic = {"statistic": self.protocol.presentation.mean_heading}
         for run in self.runs:
             where = {"run": run, **about}
             for key in self.scores[run, MEAN]:
-                scores = (self.score(run, place, key) for place in (MEAN, COMMON_MEAN))
-                found["means"].append(where | self._mean_row(run, *scores))
-            figures = (self.overall(run, place) for place in (MEAN, COMMON_MEAN))
-            row = where | self._mean_row(run, *figures)
+                common = {"value_common": self.score(run, COMMON_MEAN, key).value}
+                score = self.score(run, MEAN, key)
+                found["means"].append(where | score.row() | self.counts(run, score.region) | common | statistic)
+            score, common = self.overall(run), {"value_common": self.overall(run, COMMON_MEAN).value}
+            row = where | score.row() | self.counts(run, score.region) | common | statistic
             found["headlines"].append(row | {"mask": "+".join(self.figure_regions)})
             found["bounds"] += [where | score.row() for score in self.bounds(run)]
             if curve := self.threshold_curve(run):
                 m = curve[0].metric
                 found["by_threshold"].append({
                     **where, "metric": m.name, "mask": curve[0].region, "unit": m.unit, "convention": m.convention,
-                    "thresholds": [s.metric.threshold for s in curve], "values": [s.value for s in curve],
+                    "thresholds": [s.metric.threshold for s in curve], "values": [s.value for s in curve], **statistic,
                 })  # fmt: skip
         ranking = self.ranking
         for run, test in ranking.tests.items():
             result = {"p_holm": ranking.p_values[run], "significant": ranking.is_significant(run)}
             found["comparisons"].append({**about, "run": run, "against": ranking.runs[0], **vars(test), **result})
+        for a, b, test, p in self.pairs if with_pairs else ():
+            found["pairs"].append({**about, "run": b, "against": a, **vars(test), "p_holm": p})
         return found
-
-    def pair_rows(self) -> list[dict[str, Any]]:
-        """Return the tests of all pairs of runs as plain values."""
-        about = {"data_set": self.data_set, "protocol": self.protocol.name}
-        return [{**about, "run": b, "against": a, **vars(test), "p_holm": p} for a, b, test, p in self.pairs]
-
-    def _mean_row(self, run: str, score: Score, common: Score) -> dict[str, Any]:
-        row = score.row() | self._counts(run, score.region) | {"value_common": common.value}
-        return row | {"statistic": self.protocol.presentation.mean_heading}
-
-    def _counts(self, run: str, region: str) -> dict[str, int]:
-        """Return the numbers of scenes with truth in a region: all, those that the run lacks, those all runs have."""
-        n_scenes, n_common = (len(self.scenes_of(place, region)) for place in (MEAN, COMMON_MEAN))
-        return {"scenes": n_scenes, "missing": len(self.missing[run] & self.known[region]), "common": n_common}
 
 
 @dataclass(frozen=True)
@@ -209,36 +212,24 @@ class EvaluationReport:
         """Results without a usable map or truth."""
         return [result for result in self.results if result.error]
 
-    @property
-    def warnings(self) -> list[str]:
-        """What looks wrong with the scenes and maps, one line each."""
-        of_maps = self._of_maps(with_reports=True)
-        return [*self.hints, *self._left_out(), *(f"{run}: {scene}: {line}" for run, scene, line in of_maps)]
+    def warnings(self, together: bool = False, with_reports: bool = True) -> list[str]:
+        """Return what looks wrong with the scenes and maps, one line each.
 
-    def _left_out(self) -> list[str]:
-        """Return a line for each run that is not compared on a data set."""
-        return [
-            f"{run}: no map of {section.data_set} can be read: left out of its tables, ranks and tests"
-            for section in self.sections
-            for run in self.runs
-            if run not in section.runs
-        ]
-
-    def warning_lines(self, with_reports: bool = True) -> list[str]:
-        """Return ``warnings``, one line for warnings of a run that differ in numbers and scenes alone.
-
-        ``with_reports=False`` leaves out warnings of the runs' own reports.
+        ``together``: one line for warnings of a run that differ in numbers and scenes alone. ``with_reports=False``
+        leaves out warnings of the runs' own reports.
         """
-        found, of_maps = [*self.hints, *self._left_out()], self._of_maps(with_reports)
-        for name in self.runs:
-            lines = summarized((scene, line) for run, scene, line in of_maps if run == name)
-            found += [f"{name}: {line}" for line in lines]
-        return found
-
-    def _of_maps(self, with_reports: bool) -> list[tuple[str, str, str]]:
-        """Return run, scene and text of what looks wrong with maps."""
-        both = ((r, (r.warning, *(r.run_warnings if with_reports else ()))) for r in self.results)
-        return [(r.run, r.scene, line) for r, lines in both for line in lines if line]
+        lines = [*self.hints]
+        for section in self.sections:
+            left_out = f"no map of {section.data_set} can be read: left out of its tables, ranks and tests"
+            lines += [f"{run}: {left_out}" for run in self.runs if run not in section.runs]
+        of_run: dict[str, list[tuple[str, str]]] = {run: [] for run in self.runs}
+        for r in self.results:
+            for line in filter(None, (r.warning, *(r.run_warnings if with_reports else ()))):
+                of_run[r.run].append((r.scene, line))
+                lines += [] if together else [f"{r.run}: {r.scene}: {line}"]
+        for run, own in of_run.items() if together else ():
+            lines += [f"{run}: {line}" for line in summarized(own)]
+        return lines
 
     @property
     def n_scenes(self) -> int:
@@ -255,7 +246,8 @@ class EvaluationReport:
         made = []
         for (data_set, protocol), results in groups.items():
             # A run without any map of the data set was not computed, or cannot be read: it is not compared.
-            runs = tuple(run for run in self.runs if any(r.run == run and not r.error for r in results)) or self.runs
+            usable = {r.run for r in results if not r.error} or set(self.runs)
+            runs = tuple(run for run in self.runs if run in usable)
             kept = [result for result in results if result.run in runs]
             made.append(Section(data_set, self.protocols[protocol], runs, kept))
         return made
@@ -267,17 +259,22 @@ class EvaluationReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values; NaN for no number."""
-        parts = [section.to_dict() for section in self.sections]
-        names = ("means", "headlines", "by_threshold", "bounds", "comparisons")
+        found: dict[str, list[dict[str, Any]]] = {
+            "means": [], "headlines": [], "by_threshold": [], "bounds": [], "comparisons": [], "pairs": []
+        }  # fmt: skip
+        for section in self.sections:
+            for name, rows in section.to_dict(self.with_pairs).items():
+                found[name] += rows
+        pairs = found.pop("pairs")
         return {
             "truth": self.truth,
             "runs": list(self.runs),
             "plugins": self.plugins,
             "results": [result.to_dict() for result in self.results],
-            **{name: [row for part in parts for row in part[name]] for name in names},
+            **found,
             "failed": [{"run": r.run, "scene": r.scene, "reason": r.error} for r in self.failed],
-            "warnings": self.warnings,
+            "warnings": self.warnings(),
             **self.flags.to_dict(),
             **({"unwritten": self.unwritten} if self.unwritten else {}),
-            **({"pairs": [row for section in self.sections for row in section.pair_rows()]} if self.with_pairs else {}),
+            **({"pairs": pairs} if self.with_pairs else {}),
         }

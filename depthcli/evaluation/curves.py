@@ -210,8 +210,7 @@ class HiddenPixels(NamedTuple):
     @classmethod
     def of(cls, said: NDArray[np.bool_], true: NDArray[np.bool_]) -> HiddenPixels:
         """Count pixels (N,)."""
-        both, n_said, n_true = (int(np.count_nonzero(pixels)) for pixels in (said & true, said, true))
-        return cls(both, n_said, n_true, said.size)
+        return cls(int(np.sum(said & true)), int(np.sum(said)), int(np.sum(true)), said.size)
 
     @classmethod
     def pooled(cls, parts: Iterable[HiddenPixels]) -> HiddenPixels:

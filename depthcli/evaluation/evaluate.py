@@ -18,7 +18,7 @@ from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.plugins import plugins_of, versions_here
 from depthcli.evaluation.bounds import judged, promised
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.curves import HiddenPixels, hidden_pixels
+from depthcli.evaluation.curves import hidden_pixels
 from depthcli.evaluation.map_files import MapNaming, find_runs, names_in_run, recognized
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load, missing_scores, picture
 from depthcli.evaluation.scores import MapResult
@@ -119,24 +119,22 @@ def evaluate_runs(
     """
     choices, places = choices or Choices(), find_runs(runs)
     choices = choices if output is not None else replace(choices, viewers=())
-    reporter, rows = choices.reporter, choices.rows
+    reporter = choices.reporter
     if len(scenes) > 1 and any(place.is_file() for place in places.values()):
         raise InputError(f"a single map needs a single scene, {truth} has {len(scenes)}: give a file, or --scenes")
     writing = staging_folder(Path(output), "evaluate", RESULTS, reporter.info) if output is not None else None
     with writing or contextlib.nullcontext() as folder:
-        reports = {run: read_report(place) if rows is None else rows for run, place in places.items()}
-        folders = {run: place if place.is_dir() else place.parent.parent for run, place in places.items()}
-        promises = {run: promised(saved_config(place)) for run, place in folders.items()}
-        scoring = _Scoring(places, reports, truth, folder, choices, promises)
-        results = scoring.all_results(scenes)
-        report = scoring.report(scenes, results)
+        scoring = _Scoring(places, truth, folder, choices)
+        report = scoring.report(scenes, scoring.all_results(scenes))
         if folder is not None:
             scores = to_json(report.to_dict())
             write_text(folder / "scores.csv", to_csv(report.records()))
             write_text(folder / "scores.json", scores)
             configs = {run: saved_config(place) for run, place in places.items()}
             scoring.show(lambda viewer: viewer.write(report, scores, configs))
-    for line in report.warning_lines(with_reports=rows is None):  # else the run has just printed its own
+    for line in report.warnings(
+        together=True, with_reports=choices.rows is None
+    ):  # else the run has just printed its own
         reporter.info(f"warning: {line}")
     for result in report.failed:
         reporter.error(f"{result.run} {result.scene}: {result.error}")
@@ -156,40 +154,16 @@ def can_be_missed(file: str, unwritten: dict[str, str], reporter: Reporter) -> I
         reporter.error(f"no {file}: {unwritten[file]}; please report this line")
 
 
-def _flag_columns(report: EvaluationReport, known: Mapping[str, Mapping[str, Row]]) -> list[Row]:
-    """Return the rows that conditions see: scores, and the runs' own rows, also of scenes that were not scored.
-
-    A metric without a region belongs to the protocol's main region; ``bad 2 (0.5)``, whose threshold in
-    pixels of a smaller image is in brackets, is ``bad 2``, too. ``known``: run -> scene -> row of its report.
-    """
-    rows = {(run, scene): {**row, "run": run} for run, of_run in known.items() for scene, row in of_run.items()}
-    for section in report.sections:
-        for result in section.results:
-            scores: Row = {}
-            for region in reversed(section.regions):
-                here = {
-                    score.metric.heading: score.value
-                    for score in (*result.scores, *result.bounds)
-                    if score.region == region
-                }
-                here = {re.sub(r" \([\d.]+\)$", "", heading): value for heading, value in here.items()} | here
-                scores |= {plain_name(f"{heading} {region}"): value for heading, value in here.items()}
-                scores |= {plain_name(heading): value for heading, value in here.items()}
-            row = rows.get((result.run, result.scene), {})
-            rows[result.run, result.scene] = {**row, **scores, "scene": result.scene, "run": result.run}
-    return list(rows.values())
-
-
 @dataclass
 class _Scoring:
     """An evaluation under way."""
 
     runs: Mapping[str, Path]
-    reports: Mapping[str, Mapping[str, Row]]  # run -> scene -> row of the run's own report
     truth: Path
     output: Path | None
     choices: Choices
-    promises: Mapping[str, Bound | None]  # of the runs' bounds
+    reports: dict[str, Mapping[str, Row]] = field(default_factory=dict)  # run -> scene -> row of the run's own report
+    promises: dict[str, Bound | None] = field(default_factory=dict)  # of the runs' bounds
     naming: dict[str, MapNaming] = field(default_factory=dict)  # of a run's maps
     protocols: dict[str, AnyProtocol] = field(default_factory=dict)  # by name, those that were used
     hints: list[str] = field(default_factory=list)  # assumptions, one line each
@@ -197,6 +171,11 @@ class _Scoring:
     unlike: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # protocol -> scenes that look otherwise
     unread: dict[str, list[str]] = field(default_factory=dict)  # run -> why maps of it cannot be read
     unwritten: dict[str, str] = field(default_factory=dict)  # file of a viewer -> why it could not be written
+
+    def __post_init__(self) -> None:
+        for run, place in self.runs.items():
+            self.reports[run] = read_report(place) if self.choices.rows is None else self.choices.rows
+            self.promises[run] = promised(saved_config(place if place.is_dir() else place.parent.parent))
 
     def show(self, step: Callable[[Viewer], None]) -> None:
         """Let every viewer take a step, but for those that could not be written before."""
@@ -232,22 +211,48 @@ class _Scoring:
                 reporter.info(f"--{name} makes no difference to {', '.join(protocols)}")
         files = self.maps | {value for scene in scenes for value in vars(scene).values() if isinstance(value, Path)}
         plugins = layout_plugins(scenes) | format_plugins(files) | plugins_of(map(type, protocols.values()))
-        hints, used = (*self.hints, *self._misfits()), versions_here(plugins)
+        for name, scored in self.unlike.items():
+            (scene, others), more = scored[0], f" and {len(scored) - 1} more" if len(scored) > 1 else ""
+            how = "name the protocol with evaluate --protocol, in meta.json, or by --layout"
+            self.hints.append(f"{scene}{more}: look like {others}, but scored as {name}: {how}")
         report = EvaluationReport(
             tuple(self.runs),
             tuple(results),
             protocols,
             origin(self.truth),
-            hints,
-            used,
+            tuple(self.hints),
+            versions_here(plugins),
             unwritten=self.unwritten,
             with_pairs=self.choices.with_pairs,
         )
         if not self.choices.conditions:
             return report
-        names = {scene.name for scene in scenes}
-        known = {run: {k: row for k, row in of.items() if k in names} for run, of in self.reports.items()}
-        return replace(report, flags=flag_rows(self.choices.conditions, _flag_columns(report, known), reporter))
+        rows = self._flag_columns(report, {scene.name for scene in scenes})
+        return replace(report, flags=flag_rows(self.choices.conditions, rows, reporter))
+
+    def _flag_columns(self, report: EvaluationReport, scenes: set[str]) -> list[Row]:
+        """Return the rows that conditions see: scores, and the runs' own rows, also of scenes that were not scored.
+
+        A metric without a region belongs to the protocol's main region; ``bad 2 (0.5)``, whose threshold in
+        pixels of a smaller image is in brackets, is ``bad 2``, too.
+        """
+        rows: dict[tuple[str, str], Row] = {}
+        for run, of_run in self.reports.items():
+            rows |= {(run, scene): {**row, "run": run} for scene, row in of_run.items() if scene in scenes}
+        for section in report.sections:
+            for result in section.results:
+                scores: Row = {}
+                for region in reversed(section.regions):
+                    here: Row = {}
+                    for score in (*result.scores, *result.bounds):
+                        if score.region == region:
+                            here |= {score.metric.heading: score.value}
+                            here.setdefault(re.sub(r" \([\d.]+\)$", "", score.metric.heading), score.value)
+                    scores |= {plain_name(f"{heading} {region}"): value for heading, value in here.items()}
+                    scores |= {plain_name(heading): value for heading, value in here.items()}
+                place = result.run, result.scene
+                rows[place] = {**rows.get(place, {}), **scores, "scene": result.scene, "run": result.run}
+        return list(rows.values())
 
     def _recognize_maps(self, scenes: Sequence[Scene], names: Mapping[str, list[str]]) -> None:
         """Find the pattern of the maps of every run that has none under a usual name; InputError if several fit."""
@@ -310,14 +315,6 @@ class _Scoring:
             results.append(replace(result, warning="; ".join([*lines, *own])))
         return results
 
-    def _misfits(self) -> list[str]:
-        """Return a line for each protocol that scored scenes that look as if another one was meant."""
-        return [
-            f"{found[0][0]}{f' and {len(found) - 1} more' * (len(found) > 1)}: look like {found[0][1]}, but scored as "
-            f"{protocol}: name the protocol with evaluate --protocol, in meta.json, or by --layout"
-            for protocol, found in self.unlike.items()
-        ]
-
     def _result(self, start: MapResult, protocol: AnyProtocol, scene: Scene, truth: Any, names: list[str]) -> MapResult:
         """Find, read, score and draw one run's map; if that fails, return the worst scores with the reason."""
         place, rows = self.runs[start.run], self.reports[start.run]
@@ -337,20 +334,12 @@ class _Scoring:
             self.unread.setdefault(start.run, []).extend([] if path is None else [str(error)])
             missing, dense = missing_scores(protocol, truth), missing_scores(protocol, truth, dense=True)
             return replace(start, scores=tuple(missing), dense=tuple(dense), error=str(error))
-        confidences: dict[str, NDArray[Any]] = {}
+        confidences = {}
         for name, file in files.planes(path).items():
-            with _warned():
-                confidences[name] = protocol.read_confidence(file, truth)
-        hidden: HiddenPixels | None = None
-        status: NDArray[Any] | None = None
-        if (status_file := files.status(path)) is not None:
-            with _warned():
-                status = read_status(status_file)
-                hidden = hidden_pixels(status, truth.regions)
-        bound: NDArray[Any] | None = None
-        if (bound_file := files.companion(path, "bound")) is not None:
-            with _warned():
-                bound = protocol.read_confidence(bound_file, truth)
+            if (plane := _extra(protocol.read_confidence, file, truth)) is not None:
+                confidences[name] = plane
+        status = _extra(read_status, files.companion(path, "status.png"))
+        bound = _extra(protocol.read_confidence, files.companion(path, "bound"), truth)
         # A bound that ends with the search, of a registration, promises no limit; reach is rounded.
         limit = None if bound is None else np.where(bound >= row.get("reach", math.inf) - 1e-3, np.inf, bound)
         promise = self.promises[start.run]
@@ -363,7 +352,7 @@ class _Scoring:
             dense=tuple(protocol.threshold_curve(estimate, truth)),
             curves=tuple(curves),
             bounds=tuple(bounds),
-            hidden=hidden,
+            hidden=None if status is None else hidden_pixels(status, truth.regions),
             seconds=math.fsum(row.get("seconds", {}).values()) or math.nan,
             size=truth.size,
             n_disparities=largest if isinstance(largest := row.get("max_disparity"), int) and largest > 0 else 0,
@@ -380,10 +369,10 @@ class _Scoring:
         return result
 
 
-@contextlib.contextmanager
-def _warned() -> Iterator[None]:
-    """Turn an error of a file of a map that the scores do not need into a warning."""
+def _extra(read: Callable[..., NDArray[Any]], file: Path | None, *more: Any) -> NDArray[Any] | None:
+    """Return what a file beside a map holds; None without a file, or, with a warning, if it cannot be read."""
     try:
-        yield
-    except DepthcliError as error:
+        return None if file is None else read(file, *more)
+    except DepthcliError as error:  # the scores do not need it
         warn(str(error))
+        return None

@@ -68,20 +68,15 @@ class MapFiles:
 
         That of ``confidence.pfm`` is called ``confidence``.
         """
-        if not self._in_run_folder(path):
-            return {}
-        files = sorted(p for p in path.parent.glob("confidence*") if p.suffix.lower() in (".pfm", ".npy"))
-        named = (file for file in files if file.stem == "confidence" or file.stem.startswith("confidence_"))
-        return {file.stem.removeprefix("confidence_"): file for file in named}
-
-    def status(self, path: Path) -> Path | None:
-        """Return the status map in the folder of a map, or None."""
-        file = path.parent / "status.png"
-        return file if self._in_run_folder(path) and file.is_file() else None
+        found = {}
+        for file in sorted(path.parent.glob("confidence*")) if self._in_run_folder(path) else ():
+            if file.suffix.lower() in (".pfm", ".npy") and re.match(r"confidence(_|$)", file.stem):
+                found[file.stem.removeprefix("confidence_")] = file
+        return found
 
     def companion(self, path: Path, name: str) -> Path | None:
-        """Return the file ``bound`` or ``probability`` in the folder of a map, or None."""
-        file = path.with_name(f"{name}.pfm")
+        """Return the file ``bound``, ``probability`` or ``status.png`` in the folder of a map, or None."""
+        file = path.with_name(name if "." in name else f"{name}.pfm")
         return file if self._in_run_folder(path) and file.is_file() else None
 
     def planes(self, path: Path) -> dict[str, Path]:
@@ -93,7 +88,7 @@ class MapFiles:
 
     def _in_run_folder(self, path: Path) -> bool:
         """Return whether the map is named as in a run folder, so that the other files of its folder belong to it."""
-        return any(Path(place).stem == path.stem for place in self.places)
+        return path.stem in [Path(place).stem for place in self.places]
 
 
 @dataclass(frozen=True)
@@ -181,13 +176,13 @@ def run_names(places: Sequence[Path]) -> list[str]:
 
 def names_in_run(scenes: Sequence[str], folder: Path | None) -> dict[str, list[str]]:
     """Return the names that each scene of ``folder`` may have in a run folder, the longest form first."""
-    short = {scene: scene.rpartition("/")[2] for scene in scenes}
-    count = Counter(short.values())
-    of_folder = "" if folder is None else f"{folder.resolve().name}/"
-    return {
-        scene: [scene, *([of_folder + scene] if of_folder else []), *([name] if count[name] == 1 else [])]
-        for scene, name in short.items()
-    }
+    count = Counter(scene.rpartition("/")[2] for scene in scenes)
+    found = {}
+    for scene in scenes:
+        found[scene] = [scene] if folder is None else [scene, f"{folder.resolve().name}/{scene}"]
+        if count[name := scene.rpartition("/")[2]] == 1:
+            found[scene].append(name)
+    return found
 
 
 def recognized(

@@ -7,7 +7,7 @@ its region, denominator and density, and its :class:`Metric` the threshold and t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -114,10 +114,10 @@ class Tally:
     def means(self) -> list[Score]:
         """Return ``avgerr`` and ``rms`` in pixels of disparity, over the estimated pixels."""
         error = self.valid.astype(np.float64)
-        mean, square = (float(v.mean()) if v.size else math.nan for v in (error, error * error))
+        mean, rms = (float(error.mean()), math.sqrt((error * error).mean())) if error.size else (math.nan, math.nan)
         return [
             self.number(Metric("avgerr", "px", convention=ESTIMATED_ONLY), mean, error.size),
-            self.number(Metric("rms", "px", convention=ESTIMATED_ONLY), math.sqrt(square), error.size),
+            self.number(Metric("rms", "px", convention=ESTIMATED_ONLY), rms, error.size),
         ]
 
 
@@ -145,17 +145,6 @@ def find_score(
     if len(fitting) != 1:
         raise KeyError(f"{len(fitting)} scores {metric}, region {region}, threshold {threshold}, {convention}")
     return fitting[0]
-
-
-def pooled(
-    pool: Callable[[Sequence[Score], Sequence[float]], Score], scored: Iterable[tuple[Sequence[Score], float]]
-) -> list[Score]:
-    """Return one score for every metric and region out of (scores, weight) of several scenes."""
-    groups: dict[Key, list[tuple[Score, float]]] = {}
-    for scores, weight in scored:
-        for score in scores:
-            groups.setdefault(score.key, []).append((score, weight))
-    return [pool(*zip(*group, strict=True)) for group in groups.values()]
 
 
 def mean_of_scenes(scores: Sequence[Score], weights: Sequence[float]) -> Score:
@@ -189,12 +178,14 @@ def record(where: Mapping[str, str], score: Score | None, source: str = "", note
     ``where`` has ``run``, ``data_set``, ``scene`` (or a mean) and ``protocol``, ``source`` is the map's path inside the
     run folder. Without a score, the note has the reason.
     """
-    cells = {"metric": "failed"} if score is None else score.row()
+    cells: dict[str, Any] = {"metric": "failed"} if score is None else score.row()
     if where["scene"].startswith(_COMMON):
         cells |= {"density": None, "pixels": None, "wrong": None}
-    cells |= {**where, "map": source, "note": note}
-    found = {name: cells.get(name) for name in _COLUMNS.split()}
-    return {k: "" if v is None or (isinstance(v, float) and not math.isfinite(v)) else v for k, v in found.items()}
+    row: dict[str, Any] = dict.fromkeys(_COLUMNS.split(), "")
+    for name, value in {**cells, **where, "map": source, "note": note}.items():
+        if value is not None and not (isinstance(value, float) and not math.isfinite(value)):
+            row[name] = value
+    return row
 
 
 @dataclass(frozen=True)
@@ -279,8 +270,10 @@ def difference(results: Iterable[MapResult], headline: Metric, several: bool) ->
     That is the largest less the smallest one, or, of a single run instead of ``several``, how bad its own is. -inf:
     there is no number.
     """
-    found = (next((s.value for s in r.scores if s.metric == headline), math.nan) for r in results if not r.error)
-    values = [headline.sign * value for value in found if not math.isnan(value)]
+    values = []
+    for result in results:
+        found = [score.value for score in result.scores if score.metric == headline and not result.error]
+        values += [headline.sign * value for value in found[:1] if not math.isnan(value)]
     if not values:
         return -math.inf
     return max(values) - min(values) if several else values[0]

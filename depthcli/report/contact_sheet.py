@@ -66,7 +66,6 @@ class ContactSheet(Viewer):
         self._rows.append(_Row(scene.name, protocol, {"": own}, []))
 
     def add_map(self, scored: ScoredMap) -> None:
-        """Add one run's map and its error picture."""
         result, _, estimate, truth, *_ = scored
         if result.scene != self._scene:
             return

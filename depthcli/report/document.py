@@ -21,7 +21,6 @@ class Document(Viewer):
     needed = True
 
     def add_map(self, scored: ScoredMap) -> None:
-        """Write the plots of one run's map."""
         result = scored.result
         for (region, of), plot in result.plots.items():
             lines = {c.confidence: c.line for c in result.curves if (c.region, c.of) == (region, of)}
@@ -45,7 +44,7 @@ def _markdown(report: EvaluationReport) -> str:
     if report.plugins:
         used = ", ".join(f"{package} {version}" for package, version in report.plugins.items())
         out += [f"Plug-ins: {markdown_code(used)}.", ""]
-    out += [f"**Warning:** {markdown_text(line)}\n" for line in report.warnings]
+    out += [f"**Warning:** {markdown_text(line)}\n" for line in report.warnings()]
     out += [table.markdown() for table in report_tables(report)]
     drawn = {p.name: p.presentation.legend for p in report.protocols.values() if p.presentation.error_pictures}
     out += ["## Error pictures" if drawn else "## Curves", ""]

@@ -117,7 +117,6 @@ class PackedScene(NamedTuple):
 
     @classmethod
     def write(cls, file: Path, data: dict[str, Any]) -> PackedScene:
-        """Write the data."""
         text = f'depthcli("{file.stem}", {script_json(json.dumps(data))});\n'
         write_text(file, text)
         return cls(file, len(text))

@@ -55,12 +55,10 @@ class Page(Viewer):
         self._scene: SceneView | None = None
 
     def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
-        """Begin a scene, to which the maps that follow belong."""
         self._save(self._scene)
         self._scene = view_with_truth(protocol, scene, truth)
 
     def add_map(self, scored: ScoredMap) -> None:
-        """Add one run's map to the scene."""
         if self._scene is not None:
             self._scene.add(scored, self.folder)
 

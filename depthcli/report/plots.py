@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -40,15 +40,15 @@ class Plot(NamedTuple):
 def plots(section: Section) -> dict[str, Plot]:
     """Return caption -> plot, of all plots that the section has numbers for."""
     made = {}
-    metric = section.protocol.headline.heading_with_unit
-    what, word = f"{metric}, {section.regions[0]}", section.protocol.presentation.mean_heading
+    metric, word = section.protocol.headline.heading_with_unit, section.protocol.presentation.mean_heading
+    what = f"{metric}, {section.regions[0]}"
     if len(section.scenes) > 2:
         caption = f"Spread over the scenes ({what}): box: middle half; line: median; dots: scenes"
         made[caption] = Plot("spread", _boxes(section, what))
     if lines := {run: scores for run in section.ranking.runs if (scores := section.threshold_curve(run))}:
         caption = f"Against the threshold, {word} of all scenes{_best(len(lines))}; dots: thresholds of the tables"
         rows = [
-            {"run": run, s.metric.name: s.value, "threshold": s.metric.threshold, "mask": s.region}
+            {"run": run, s.metric.name: s.value, "threshold": s.metric.threshold, "mask": s.region, "statistic": word}
             for run, scores in lines.items()
             for s in scores
         ]
@@ -57,7 +57,9 @@ def plots(section: Section) -> dict[str, Plot]:
         made[caption] = Plot("threshold", _by_threshold(section, shown), rows)
     if any(not math.isnan(r.seconds) for r in section.results):
         of_all = f"{metric}, {' + '.join(section.figure_regions)}"
-        made[f"Mean time of a scene against {of_all}, {word} of all scenes"] = Plot("times", _times(section, of_all))
+        made[f"Mean time of a scene against {of_all}, {word} of all scenes"] = Plot(
+            "times", _times(section, f"{of_all}, {word}")
+        )
     if coverage := _coverage(section):
         what = f"Coverage of the bounds against their level, {section.regions[0]}: means over the maps"
         made[f"{what}; dotted: as promised"] = Plot("coverage", coverage)
@@ -85,8 +87,9 @@ def _by_threshold(section: Section, lines: Mapping[str, Sequence[Score]]) -> str
     some = next(iter(lines.values()))[0]
     keys = [(m, region) for m, region in section.keys if m.threshold is not None and region == some.region]
     keys = [key for key in keys if key[0] == replace(some.metric, threshold=key[0].threshold)]
-    y_label = f"{some.metric.name}, {some.metric.unit}, {some.region}"
-    with _figure(section.protocol.presentation.threshold_axis, y_label, len(section.runs)) as (axes, out):
+    presentation = section.protocol.presentation
+    y_label = f"{some.metric.name}, {some.metric.unit}, {some.region}, {presentation.mean_heading}"
+    with _figure(presentation.threshold_axis, y_label, len(section.runs)) as (axes, out):
         for i, run in ((i, run) for i, run in enumerate(section.runs) if run in lines):
             points = [(s.metric.threshold, s.value) for s in lines[run] if s.metric.threshold is not None]
             _line(axes, i, run, points, marker="")
@@ -101,7 +104,7 @@ def _by_threshold(section: Section, lines: Mapping[str, Sequence[Score]]) -> str
 def _times(section: Section, what: str) -> str:
     from matplotlib.ticker import LogLocator
 
-    with _figure("seconds a scene", what, len(section.runs)) as (axes, out):
+    with _figure("seconds a scene, mean", what, len(section.runs)) as (axes, out):
         for i, run in enumerate(section.runs):
             score, seconds = section.overall(run), mean_of_known(r.seconds for r in section.results_of(run))
             if not math.isnan(score.value + seconds):
@@ -125,7 +128,7 @@ def _coverage(section: Section) -> str:
     if len({level for line in lines for level in line.x}) < 2:
         return ""
     lines.append(Line("", (50, 100), (50, 100), bound=True))
-    return line_plot(lines, "", "level, %", "coverage, %", any_names=True)
+    return line_plot(lines, "", "level, %", "coverage, %, mean of the maps", any_names=True)
 
 
 def _confidences(section: Section) -> dict[str, Plot]:
@@ -147,32 +150,42 @@ def _confidences(section: Section) -> dict[str, Plot]:
         drawn += [Line("", PERCENTAGES, line, True) for line in dict.fromkeys(best.values())]
         what = "share of wrong pixels" if of == "bad" else "mean error"
         y_label = what if of == "bad" else f"{what}, {section.protocol.presentation.unit}"
-        caption = f"Sparsification, {region}: {what} of the most confident pixels{_best(len(curves))}"
+        over = _statistic("mean", curves.values())
+        caption = f"Sparsification, {region}: {what} of the most confident pixels, {over}{_best(len(curves))}"
         caption += "; dotted: the best ranking"
         rows = [
-            {"curve": name, "percent of the pixels": percent, y_label: error}
+            {"curve": name, "statistic": _statistic("mean", [curves[name]]), "percent of the pixels": percent,
+             y_label: error}
             for name in ordered
             for percent, error in zip(PERCENTAGES, errors[name], strict=True)
-        ]
-        svg = line_plot(drawn, "", _SHARE_AXIS, y_label, any_names=True)
+        ]  # fmt: skip
+        svg = line_plot(drawn, over, _SHARE_AXIS, y_label, any_names=True)
         made[caption] = Plot(f"sparsification_{region}_{of}", svg, rows)
         known = {name: [c.reliability for c in found if c.reliability] for name, found in curves.items()}
-        pooled = {name: Reliability.pooled(found) for name, found in known.items() if found}
+        known = {name: found for name, found in known.items() if found}
+        pooled = {name: Reliability.pooled(found) for name, found in known.items()}
         if pooled:
-            more = _best(len(pooled))
+            over, more = _statistic("pooled", known.values()), _best(len(pooled))
             pooled = dict(sorted(pooled.items(), key=lambda named: named[1].ece)[:_MAX_CURVES])
             drawn = [Line(f"{name} {one.ece:.3f}", one.confidence, one.right) for name, one in pooled.items()]
             drawn.append(Line("", (0, 1), (0, 1), bound=True))
-            what = f"how often pixels of a confidence are right, with the expected calibration error{more}"
+            what = f"how often pixels of a confidence are right, with the expected calibration error, {over}{more}"
             caption = f"Reliability, {region}: {what}; dotted: as often as they say"
             rows = [
-                {"curve": name, "confidence": confidence, "share of right pixels": right}
+                {"curve": name, "statistic": _statistic("pooled", [known[name]]), "confidence": confidence,
+                 "share of right pixels": right}
                 for name, one in pooled.items()
                 for confidence, right in zip(one.confidence, one.right, strict=True)
-            ]
-            svg = line_plot(drawn, "", "confidence", "share of right pixels", any_names=True)
+            ]  # fmt: skip
+            svg = line_plot(drawn, over, "confidence", "share of right pixels", any_names=True)
             reliabilities[caption] = Plot(f"reliability_{region}", svg, rows)
     return made | reliabilities
+
+
+def _statistic(word: str, groups: Iterable[Sequence[object]]) -> str:
+    """Return ``mean of 3``, the word of the tables with the number of maps; a range if the groups differ in it."""
+    sizes = [len(group) for group in groups]
+    return f"{word} of {min(sizes)}" + (f" to {max(sizes)}" if max(sizes) > min(sizes) else "")
 
 
 class Line(NamedTuple):

@@ -303,7 +303,7 @@ class SceneView:
         return self.image if (height, width) == shape else np.asarray(cv2.resize(self.image, shape[::-1]), np.uint8)
 
     def _status(self, path: Path) -> Picture | None:
-        file = self.protocol.files.status(path) if self.palette else None
+        file = self.protocol.files.companion(path, "status.png") if self.palette else None
         try:
             status = None if file is None else read_status(file)
         except InputError:  # the map counts, its status is an extra

@@ -6,6 +6,7 @@ run, a column for every scene or metric, and ranked numbers.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -91,37 +92,35 @@ def summary(section: Section) -> Table:
 
     The best run is the first. If maps are missing, a second row of a run has the means over the common scenes.
     """
-    protocol, main, figures, places = section.protocol, section.regions[0], section.figure_regions, section.places
-    headline = protocol.headline
-    rows = [(run, place) for run in section.ranking.runs for place in places]
-    complete, with_tests = len(places) == 1, len(section.runs) > 1
-    better = headline.larger_is_better if complete else None
-    columns = [Column("run", itemgetter(0))]
-    columns.append(Column("scenes", {row: _n_scenes(section, *row) for row in rows}.__getitem__))
-    for region in section.regions:
-        cells = {row: _cell(section, *row, (headline, region)) for row in rows}
-        columns.append(Column(_region_heading(section, region), cells.__getitem__, better))
+    protocol, figures, places = section.protocol, section.figure_regions, section.places
+    headline, main, complete = protocol.headline, section.regions[0], len(places) == 1
+    with_tests, with_times = len(section.runs) > 1, any(not math.isnan(result.seconds) for result in section.results)
+    better, word = headline.larger_is_better if complete else None, protocol.presentation.mean_heading
+    ranked = [_region_heading(section, region) for region in section.regions]
     if len(figures) > 1:
-        cells = {row: _number(section, *row, section.overall(*row).value) for row in rows}
-        word = protocol.presentation.mean_heading
-        count = len(section.scenes) * len(figures) if word == "mean" else len(section.scenes)
-        columns.append(Column(f"{word} of {count}", cells.__getitem__, better))
-    if with_tests:  # of the last mean of a run
-        ranks = section.average_rank(section.figure_keys)
-        tests = {(run, places[-1]): (Number(ranks[run], 1), *_test(section, run)) for run in section.runs}
-        blank = ("",) * (1 + len(TEST_COLUMNS))
-        for j, heading in enumerate(("avg rank", *TEST_COLUMNS)):
-            columns.append(Column(heading, {row: tests.get(row, blank)[j] for row in rows}.__getitem__))
-    cells = {row: Number(section.score(*row, (headline, main)).density, 1) for row in rows}
-    columns.append(Column(f"density {main} %", cells.__getitem__))
-    if any(not math.isnan(result.seconds) for result in section.results):
-        cells = {row: Number(mean_of_known(result.seconds for result in section.results_of(*row))) for row in rows}
-        columns.append(Column("seconds", cells.__getitem__, False if complete else None))
+        ranked.append(f"{word} of {len(section.scenes) * (len(figures) if word == 'mean' else 1)}")
+    header = ["run", "scenes", *ranked, *["avg rank", *TEST_COLUMNS] * with_tests, f"density {main} %"]
+    header += ["seconds"] * with_times
+    ranks = section.average_rank(section.figure_keys) if with_tests else {}
+    rows: list[list[str]] = []
+    for run, place in itertools.product(section.ranking.runs, places):
+        cells = [_cell(section, run, place, (headline, region)) for region in section.regions]
+        if len(figures) > 1:
+            cells.append(_number(section, run, place, section.overall(run, place).value))
+        rows.append([run, _n_scenes(section, run, place), *cells])
+        if with_tests:  # of the last mean of a run
+            tests = (Number(ranks[run], 1), *_test(section, run))
+            rows[-1] += tests if place == places[-1] else [""] * len(tests)
+        rows[-1].append(Number(section.score(run, place, (headline, main)).density, 1))
+        if with_times:
+            rows[-1].append(Number(mean_of_known(result.seconds for result in section.results_of(run, place))))
     title = f"{section.data_set} - {protocol.presentation.title} ({headline.heading})"
     if len(section.regions) > 1 and with_tests:
         title += f", ranked by {'the mean of ' * (len(figures) > 1)}{', '.join(figures)}"
     note = "; ".join(filter(None, [protocol.presentation.note, "" if complete else MISSING]))
     note = ". ".join(filter(None, [note, _gaps_note(section), _tests_note(section)]))
+    orders = dict.fromkeys(ranked, better) | {"seconds": False if complete else None}
+    columns = [Column(heading, itemgetter(j), orders.get(heading)) for j, heading in enumerate(header)]
     return Table(title, columns, rows, note, "headline")
 
 
@@ -281,7 +280,8 @@ def further_tables(report: EvaluationReport) -> list[Table]:
         "sparsification over the estimated pixels, of wrong ones (bad: by the headline's rule) and of the error; AUC: "
         "integral over all shares; random: their mean; AUSE, AURG: distance to optimal and random; 5-100: trapezoid "
         "over 5..100 %, as LAF-Net and the survey of Poggi et al. take it; ECE: expected calibration error, where the "
-        "confidence is a probability; pooled: over all pixels together"
+        "confidence is a probability; mean: of the maps' areas, AUC/optimal is the ratio of their means; pooled: over "
+        "all pixels together"
     )
     hidden_note = (
         "pixels that the right view does not see, by status.png (occluded, or out of view) against the truth (in all, "
@@ -320,11 +320,10 @@ def _number(section: Section, run: str, place: str, value: float) -> Number:
 
 def _n_scenes(section: Section, run: str, place: str, region: str | None = None) -> str:
     """Return the number of scenes that a run's mean is over: of all, or of those with truth in a region."""
-    scenes = frozenset(section.scenes) if region is None else section.known[region]
+    counts = section.counts(run, region)
     if place == COMMON_MEAN:
-        return f"{len(scenes & section.common)} common"
-    n_missing = len(scenes & section.missing[run])
-    return f"{len(scenes)}, {n_missing} missing*" if n_missing else str(len(scenes))
+        return f"{counts['common']} common"
+    return f"{counts['scenes']}, {counts['missing']} missing*" if counts["missing"] else str(counts["scenes"])
 
 
 def wide_by_scene(section: Section, key: Key) -> Table:
@@ -336,8 +335,8 @@ def wide_by_scene(section: Section, key: Key) -> Table:
         heading = section.protocol.presentation.mean_heading
         for place in section.places:
             if place == MEAN or section.common:
-                n_scenes, kind = len(section.scenes_of(place, region)), " common" * (place == COMMON_MEAN)
-                columns.append((f"{heading} of {n_scenes}{kind}", place, key))
+                counts, kind = section.counts(section.runs[0], region), " common" * (place == COMMON_MEAN)
+                columns.append((f"{heading} of {counts['common' if kind else 'scenes']}{kind}", place, key))
     ranked = len(section.scenes) > 1 and metric == section.protocol.headline and len(section.runs) > 1
     title = f"{section.data_set}: {metric.heading_with_unit}, {region}"
     return _wide(section, title, f"scenes-{region}", columns, ranked)

@@ -109,7 +109,7 @@ TABLES = (
     Term("AUC", "area under the sparsification curve over all shares of pixels, the surest first"),
     Term("optimal", "the area for an order by the error itself, the smallest possible"),
     Term("random", "the area for pixels in random order: their mean"),
-    Term("AUC/optimal", "the area / the optimal one, 1 the best"),
+    Term("AUC/optimal", "the area / the optimal one, 1 the best; of a mean: mean area / mean optimal one"),
     Term("AUSE", "area under the curve - the optimal one, 0 the best; registration: of the true error, mm"),
     Term("AURG", "random area - area under the curve, larger is better; registration: of the true error, mm"),
     Term("AUC 5-100", "the area by trapezoids over shares of 5 to 100 %, as in the literature of learned confidence"),

@@ -102,7 +102,7 @@ def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
     wrong = run_of(tmp_path / "half", {"a": half, "b": half})
     report = evaluated([perfect, wrong], truth, tmp_path / "out")
     assert chosen_text(report, ["scenes"], ["all"]).splitlines()[1].split() == ["scene", "run", "all"]
-    assert report.failed == report.warnings == []
+    assert report.failed == report.warnings() == []
     assert "mean of 6" in text_of(report)
     written = {(r["run"], r["scene"], r["metric"], r["mask"], r["threshold"]): r for r in rows(tmp_path / "out")}
     assert {float(r["value"]) for key, r in written.items() if key[0] == "perfect" and key[2] == "bad"} == {0}
@@ -213,7 +213,7 @@ def test_confidence_gives_curves(tmp_path: Path, truth: Path):
     assert "AUSE" in text_of(report)
     plot = (tmp_path / "out" / "curves" / "run" / "a_nonocc_bad.svg").read_text()
     assert all(f"{name} {curves['nonocc', name, 'bad'].auc:.4f}" in plot for name in ("blind", "oracle"))
-    assert "confidence_small.pfm" in report.warnings[0]
+    assert "confidence_small.pfm" in report.warnings()[0]
 
 
 def test_scene_names_match_with_and_without_their_data_set(tmp_path: Path, truth: Path):

@@ -1,5 +1,7 @@
 """Plots as SVG: well formed, escaped, the same bytes again, and the numbers that the tables have."""
 
+import csv
+import json
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -10,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from depthcli.evaluation.curves import sparsification
+from depthcli.cli import main
+from depthcli.evaluation.curves import Reliability, sparsification
 from depthcli.evaluation.protocols import Settings, load, missing_scores, names
 from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.evaluation.protocols.depth import DepthProtocol, DepthTruth
@@ -65,6 +68,45 @@ def test_matplotlib_is_not_imported_where_nothing_is_drawn(tmp_path: Path, scene
         "sys.exit(code or ('matplotlib' in sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.slow
+def test_plots_tables_and_files_name_the_same_statistic(tmp_path: Path, scenes: Path, runs: list[Path], capsys):
+    """KITTI 2015 pools its scores over the pixels; areas of curves are means of maps, calibration errors pooled."""
+    words = ["evaluate", str(runs[0]), "--truth", str(scenes), "--protocol", "kitti-2015"]
+    assert main([*words, "-o", str(tmp_path), "--html"]) == 0
+    printed = {}
+    for form in ("", "latex", "csv"):
+        capsys.readouterr()
+        assert main([*words, "--tables", "confidence", *(["--format", form] if form else [])]) == 0
+        printed[form] = capsys.readouterr().out
+        assert "mean of 2" in printed[form] and "pooled of 2" in printed[form]
+    document = json.loads((tmp_path / "scores.json").read_text())
+    (curve,) = document["by_threshold"]
+    assert {curve["statistic"]} == {row["statistic"] for row in document["means"]} == {"pooled"}
+    plots_of = {path.stem.partition("kitti-2015_")[2]: path for path in (tmp_path / "curves/all_scenes").iterdir()}
+    svg = {name: path.with_suffix(".svg").read_text("utf-8") for name, path in plots_of.items()}
+    rows = {name: list(csv.DictReader(path.with_suffix(".csv").read_text("utf-8").splitlines()))
+            for name, path in plots_of.items() if path.with_suffix(".csv").exists()}  # fmt: skip
+    assert [float(row["out"]) for row in rows["threshold"]] == curve["values"]
+    expected = {"threshold": "pooled", "sparsification_occ_bad": "mean of 2", "reliability_occ": "pooled of 2"}
+    for name, statistic in expected.items():
+        assert {row["statistic"] for row in rows[name]} == {statistic}
+        assert statistic in svg[name]
+    own = [c for r in document["results"] for c in r["confidence"]
+           if (c["mask"], c["of"], c["measure"]) == ("occ", "bad", "probability")]  # fmt: skip
+    errors = [float(row["share of wrong pixels"]) for row in rows["sparsification_occ_bad"]
+              if row["curve"] == "probability"]  # fmt: skip
+    assert errors == pytest.approx(np.mean([c["errors"] for c in own], axis=0))
+    ece = Reliability.pooled(
+        Reliability(*(tuple(np.nan if v is None else v for v in part) for part in c["reliability"].values()))
+        for c in own
+    ).ece
+    assert f"probability {ece:.3f}" in svg["reliability_occ"]
+    assert f"{ece:.4f}" in printed[""] and f"{ece:.4f}" in printed["latex"] and str(ece)[:9] in printed["csv"]
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert all(f"{what}, occ" in page for what in ("Sparsification", "Reliability"))
+    assert "most confident pixels, mean of 2" in page and "calibration error, pooled of 2" in page
 
 
 STEREO = [name for name in names() if load(name).kind is StereoScene]

@@ -25,7 +25,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.plugins import Registry, registered_name
 from depthcli.evaluation.curves import ConfidenceCurve, is_probability, reliability, sparsifications
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.scores import MapResult, Metric, Score, mean_of_scenes, pooled
+from depthcli.evaluation.scores import Key, MapResult, Metric, Score, mean_of_scenes
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.images import read_color8
 from depthcli.io.scenes import Scene
@@ -250,16 +250,19 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
 
     def mean(self, results: Sequence[MapResult]) -> list[Score]:
         """Compute every metric in every region over the scenes of one run."""
-        return scene_means(self, ((result.scores, result.scene) for result in results))
+        return self.pooled((result.scores, result.scene) for result in results)
+
+    def pooled(self, scored: Iterable[tuple[Sequence[Score], str]]) -> list[Score]:
+        """Return one score for every metric and region out of (scores, scene) of several scenes."""
+        groups: dict[Key, list[tuple[Score, float]]] = {}
+        for scores, scene in scored:
+            weight = self.weights.get(scene.rpartition("/")[2], 1.0)
+            for score in scores:
+                groups.setdefault(score.key, []).append((score, weight))
+        return [self.pool(*zip(*group, strict=True)) for group in groups.values()]
 
 
 AnyProtocol: TypeAlias = Protocol[Any, Any]
-
-
-def scene_means(protocol: AnyProtocol, scored: Iterable[tuple[Sequence[Score], str]]) -> list[Score]:
-    """Return one score for every metric and region out of (scores, scene) of several scenes, by the protocol's rule."""
-    weighted = ((scores, protocol.weights.get(scene.rpartition("/")[2], 1.0)) for scores, scene in scored)
-    return pooled(protocol.pool, weighted)
 
 
 def headlines(protocol: AnyProtocol, estimate: Any, truth: Any) -> dict[str, float]:

@@ -36,7 +36,7 @@ _MAX_KITTI_KNOWN = 0.5  # of a laser scanner's truth, which has about 20 %, with
 
 def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
     """Return a run's map with the shares of pixels that are inconsistent, by its status, and that have no value."""
-    values, file = read_disparity(path), files.status(path)
+    values, file = read_disparity(path), files.companion(path, "status.png")
     figures = {"left-right inconsistent, %": np.nan, "no value, %": 100.0 * float(np.isnan(values).mean())}
     if file is not None:
         rejected = (read_status(file) & int(Status.OCCLUDED | Status.MISMATCH)) != 0
@@ -75,7 +75,6 @@ class DisparityTruth:
 
     @property
     def size(self) -> int:
-        """Number of pixels."""
         return self.values.size
 
 

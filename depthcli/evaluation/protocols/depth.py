@@ -47,7 +47,6 @@ class DepthTruth:
 
     @property
     def size(self) -> int:
-        """Number of pixels."""
         return self.depth.size
 
 
@@ -168,7 +167,6 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         return [_delta(tally, inside, 1 + k / 100) for k in range(1, 51)]
 
     def scores(self, estimate: Depth, truth: DepthTruth) -> list[Score]:
-        """Compute every metric in every region."""
         error, ratio = self.error(estimate, truth), _ratio(estimate, truth.depth)
         pixels = None
         if truth.fb is not None:

@@ -41,7 +41,6 @@ class Eth3dProtocol(DisparityProtocol):
             return np.where(fitted > fitted.shape[1], np.float32(np.nan), fitted)
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
-        """Compute ``bad`` at four thresholds, ``coverage``, ``avgerr``, ``rms`` and quantiles."""
         scores = []
         for tally in self.tallies(estimate, truth):
             valid, n_valid = tally.valid, tally.valid.size

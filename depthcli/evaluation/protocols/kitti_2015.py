@@ -82,7 +82,6 @@ class Kitti2015Protocol(Kitti2012Protocol):
         return is_d1(difference(self.values(estimate, truth), truth.values), truth.values)
 
     def metrics(self, tally: Tally, error: Disparity, truth: Disparity, convention: str) -> list[Score]:
-        """Compute ``D1``, then the metrics of KITTI 2012."""
         return [tally.rate(_d1(convention), is_d1(error, truth)), *super().metrics(tally, error, truth, convention)]
 
 

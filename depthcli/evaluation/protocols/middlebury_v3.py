@@ -122,7 +122,6 @@ class MiddleburyV3Protocol(DisparityProtocol):
         return self.error(estimate, truth) > np.float32(self.headline.threshold / truth.factor)
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
-        """Compute ``bad`` and ``totbad`` at four thresholds, ``invalid``, ``avgerr``, ``rms`` and quantiles."""
         scores = []
         for tally in self.tallies(estimate, truth):
             missing = np.isnan(tally.error)

@@ -236,7 +236,6 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         return _at_points(path, truth)
 
     def read_confidence(self, path: Path, truth: PreparedTruth) -> NDArray[Any]:
-        """Return (N,) confidences at the points of the truth."""
         return _at_points(path, truth)
 
     def error(self, estimate: Errors, truth: PreparedTruth) -> NDArray[np.floating[Any]]:
@@ -266,7 +265,6 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         return table, (estimate, truth.error)
 
     def scores(self, estimate: Errors, truth: PreparedTruth) -> list[Score]:
-        """Compute every metric over all points."""
         return point_scores(truth.region, estimate, truth.error)
 
     def curves(

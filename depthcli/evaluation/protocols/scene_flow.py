@@ -48,7 +48,6 @@ class SceneFlowProtocol(DisparityProtocol):
         return self.error(estimate, truth) > np.float32(self.settings.threshold or _WRONG)
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
-        """Compute ``avgerr``, ``rms``, ``bad`` at three thresholds and ``D1``."""
         scores = []
         for tally, region in zip(self.tallies(estimate, truth), truth.regions.values(), strict=True):
             missing = np.isnan(tally.error)
