@@ -1,6 +1,7 @@
 """What the scripts that measure share: presets, scenes of the groups, times in turns, tables."""
 
 import re
+import statistics
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,8 +14,10 @@ import yaml
 
 from depthcli.commands import config_model
 from depthcli.core.config_file import find_config, load_config
+from depthcli.core.frames import StereoPair
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.pairs import PAIRS
+from depthcli.io.stereo_pairs import load_pair
 from depthcli.problems.fusion import Fuse
 from depthcli.show.table import Table
 
@@ -83,6 +86,30 @@ def seconds_in_turns(jobs: Mapping[str, Callable[[], object]], repeats: int, war
             if turn >= warm:
                 taken[name].append(time.perf_counter() - begun)
     return {name: sorted(found) for name, found in taken.items()}
+
+
+def on_new_pair(method: Callable[[Any, int], Any], scene: Any) -> Callable[[], object]:
+    """Return what matches a new pair each time: what a pair remembers (grey images) is part of the work."""
+    pair = load_pair(scene)
+    return lambda: method(StereoPair(pair.left, pair.right), scene.max_disparity)
+
+
+def device_ms(device: Any, run: Callable[[], object], repeats: int) -> tuple[float, int]:
+    """Return the median milliseconds that a device computes, after a first run, and the bytes of its kernels."""
+    times, size = [], 0
+    for _ in range(repeats + 1):
+        device.launches = []
+        run()
+        device.finish()
+        times.append(1e3 * sum(launch.seconds for launch in device.launches))
+        size = sum(launch.nbytes for launch in device.launches)
+    device.launches = None
+    return statistics.median(times[1:]), size
+
+
+def milliseconds(jobs: Mapping[str, Callable[[], object]], repeats: int, warm: int = 1) -> Rows:
+    """Return the shortest milliseconds of jobs that take turns."""
+    return {name: {"ms": 1e3 * found[0]} for name, found in seconds_in_turns(jobs, repeats, warm).items()}
 
 
 def kept(folder: Path | None, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:

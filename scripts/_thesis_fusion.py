@@ -6,7 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _experiments import Experiment, Rows, bad, config_of, matcher, middlebury_scenes, scenes_in, seconds_in_turns
+from _experiments import (
+    Experiment,
+    Rows,
+    bad,
+    config_of,
+    matcher,
+    middlebury_scenes,
+    milliseconds,
+    on_new_pair,
+    scenes_in,
+)
 from _thesis_depth import infrared, infrared_pairs
 
 from depthcli.core.frames import StereoPair
@@ -102,11 +112,8 @@ def confidences(scene: Any) -> Rows:
 
 def times(scene: Any) -> Rows:
     """Return milliseconds of fusions and of their parts, in turn with OpenCV's SGBM."""
-    pair = load_pair(scene)
     runs = {name: fusion(*FUSIONS[name]) for name in ("census", "equal", "all")} | {"SGBM": matcher("opencv-sgbm")}
-    jobs = {name: lambda run=run: run(StereoPair(pair.left, pair.right), scene.max_disparity)
-            for name, run in runs.items()}  # fmt: skip
-    return {name: {"ms": 1e3 * found[0]} for name, found in seconds_in_turns(jobs, 15).items()}
+    return milliseconds({name: on_new_pair(run, scene) for name, run in runs.items()}, 15)
 
 
 def two(data: Path) -> Iterator[tuple[str, Any]]:

@@ -1,13 +1,12 @@
 """Figure 3.2 of the thesis: times of costs and aggregations, sequential, naive and optimized, and frames a second."""
 
-import statistics
 from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
 
 import numba
 import numpy as np
-from _experiments import Rows, matcher, seconds_in_turns
+from _experiments import Rows, device_ms, matcher, milliseconds, on_new_pair, seconds_in_turns
 
 from depthcli.core.frames import StereoPair
 from depthcli.device import open_device
@@ -90,13 +89,8 @@ def figure_3_2(scene: Any) -> Rows:
         best = {way: 1e3 * found[0] * (part if way != "optimized" else 1) for way, found in taken.items()}
         if device:
             there, copied = DevicePair(device, pair, TABLE), DeviceVolume.upload(device, volume)
-            found = []
-            for _ in range(11):
-                device.launches = []
-                there.run(costs[name], there, count) if name in costs else there.run(aggregations[name], copied, there)
-                device.finish()
-                found.append(1e3 * sum(launch.seconds for launch in device.launches))
-            best["GPU"] = statistics.median(found[1:])
+            what = (costs[name], there, count) if name in costs else (aggregations[name], copied, there)
+            best["GPU"], _ = device_ms(device, partial(there.run, *what), 10)
         rows[name] = best
     return rows
 
@@ -109,13 +103,10 @@ def cross_times(scene: Any) -> Rows:
     jobs = {
         f"CROSS {length}": partial(cross.model_copy(update={"length": length}), volume, pair) for length in (5, 17, 33)
     }
-    return {name: {"ms": 1e3 * found[0]} for name, found in seconds_in_turns(jobs, 20).items()}
+    return milliseconds(jobs, 20)
 
 
 def frames(scene: Any) -> Rows:
     """Return milliseconds of whole pipelines, and of OpenCV's SGBM in turn with them."""
-    pair, jobs = load_pair(scene), {}
-    for name in (*FRAMES, "opencv-sgbm"):
-        run = matcher(name)
-        jobs[name] = lambda run=run: run(StereoPair(pair.left, pair.right), scene.max_disparity)
-    return {name: {"ms": 1e3 * found[0]} for name, found in seconds_in_turns(jobs, 60, warm=2).items()}
+    jobs = {name: on_new_pair(matcher(name), scene) for name in (*FRAMES, "opencv-sgbm")}
+    return milliseconds(jobs, 60, warm=2)

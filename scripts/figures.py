@@ -71,21 +71,9 @@ def selected(found: dict[str, Rows], table: dict[str, Any]) -> Rows:
     if names:
         by_name = {each[header[0]]: each for each in cells}
         cells = [by_name[own] | {header[0]: shown} for own, shown in names.items()]
-    shown = [
-        [
-            " / ".join(rounded(each[own], table.get("digits")) for own in str(owns).split(" & "))
-            for owns in table["columns"].values()
-        ]
-        for each in cells
-    ]
+    shown = [[" / ".join(each[own] for own in str(owns).split(" & ")) for owns in table["columns"].values()]
+             for each in cells]  # fmt: skip
     return [list(map(str, table["columns"])), *shown, *([str(cell) for cell in row] for row in table.get("fixed", ()))]
-
-
-def rounded(cell: str, digits: int | None) -> str:
-    """Return a cell, its numbers rounded if ``digits`` are given."""
-    if digits is None:
-        return cell
-    return re.sub(r"\d+\.\d+", lambda found: f"{float(found[0]):.{digits}f}", cell)
 
 
 def markdown(rows: Rows) -> str:

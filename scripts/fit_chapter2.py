@@ -20,8 +20,9 @@ import json
 import random
 import time
 from collections.abc import Callable, Hashable
-from dataclasses import replace
+from functools import reduce
 from itertools import pairwise
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -36,12 +37,10 @@ from depthcli.evaluation.protocols import headlines
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.kernels.jit import set_threads
-from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, SegmentedImage, segment_window
+from depthcli.methods.stereo.segments.first_estimate import SegmentedImage, segment_window
 from depthcli.methods.stereo.segments.planes import assign
-from depthcli.methods.stereo.volume import CostVolume
 from depthcli.problems.stereo import StereoConfig
 
-RIGHT = "the right view's segments"  # own: it is segmented, too, for the check; same: costs are those of the left view
 OPEN: dict[str, list[Any]] = {
     "segmentation.spatial_radius": [3, 4, 5, 6, 7, 8, 9, 10, 12],  # hs, hr: "chosen"; the values are lost
     "segmentation.color_radius": [3, 3.5, 4, 4.5, 5, 5.5, 6, 6.5, 7, 8],
@@ -55,23 +54,11 @@ OPEN: dict[str, list[Any]] = {
     "matching.agreeing": [0, 2],
     "cost.filter": ["sobel", "dog"],
     "cost.channels": ["grey", "color"],
-    "cost.limits": [
-        None,
-        [20, 20],
-        [30, 30],
-        [40, 40],
-        [60, 60],
-        [40, 20],
-        [20, 40],
-        [60, 30],
-        [90, 40],
-        [60, 20],
-        [90, 30],
-    ],
+    "cost.limits": [None, *map(list, zip((20, 30, 40, 60, 40, 20, 60, 90, 60, 90),
+                                         (20, 30, 40, 60, 20, 40, 30, 40, 20, 30), strict=True))],
     "cost.outside": ["border", 120],
     "window_radius": [1, 2, 3],  # 3 x 3 to 7 x 7
     "selection.tolerance": [0, 1],
-    RIGHT: ["own", "same"],
     "planes.tolerance": [0.3, 0.4, 0.5, 0.6, 0.75, 1],
     "planes.same_slope": [0.002, 0.005, 0.01, 0.02, 0.03, 0.05],
     "planes.same_offset": [0.1, 0.25, 0.5, 0.75, 1],
@@ -79,7 +66,7 @@ OPEN: dict[str, list[Any]] = {
     "energy.cost_agreement": [False, True],
     "energy.smoothness": [25, 50],  # eq. 2.11 counts a pair of segments once or twice
     "energy.boundary.color": ["rgb", "grey"],
-}
+}  # fmt: skip
 ELSEWHERE = [(f, n) for f, names in GROUPS["tuning"].items() if "_200" in f for n in names[::2]]
 DEFAULTS = {"pipeline": "segments", "keypoints": "surf", "cost": "intensity_gradient", "window_radius": 1}
 NEEDED = "baseline", "KP", "DEDC", "DEDC and KP"
@@ -104,21 +91,18 @@ class Steps:
             del self._kept[next(iter(self._kept))]
         return found
 
-    def rates(self, method: Any, own: bool, key_points: bool, term: str) -> list[float]:
-        """Return bad > 1 px, %: nonocc, all, disc; ``own``: the right view is segmented, too."""
+    def rates(self, method: Any, key_points: bool, term: str) -> list[float]:
+        """Return bad > 1 px, %: nonocc, all, disc."""
         m, image, pair = method, self.pair.color8[0], self.pair
         labels = self.once(lambda: m.segmentation(image), m.segmentation)
         volume = self.once(lambda: m.cost.checked_costs(pair, self.top + 1), m.cost)
         window = m.window_radius
         costs = self.once(lambda: segment_window(volume, labels, window), m.segmentation, m.cost, window)
-        matches = None
         if key_points:
             points = self.once(lambda: [m.keypoints(view) for view in pair.grey8], m.keypoints)
             matches = m.matching(*points, self.top)
             costs = m.ranges.penalize(costs, m.ranges(labels, matches, self.top))
         first = m.selection(costs)
-        if own:
-            first = self.checked_by_own_segments(m, volume, matches, first)
         segments = SegmentedImage.of(labels, first, region_graph(labels, image), self.top)
         energy = m.energy.model_copy(update={"data_term": term})
         found = assign(segments, volume, m.planes, energy, 1, 50, Clock())
@@ -127,26 +111,6 @@ class Steps:
             values = found.planes.at(found.labels[labels], self.top)
         rates = headlines(self.judge, values, self.truth)
         return [round(float(rates[mask]), 4) for mask in MASKS]
-
-    def checked_by_own_segments(self, m: Any, volume: CostVolume, matches: Any, first: FirstEstimate) -> FirstEstimate:
-        """Return the first estimate with the right view's disparities by windows in segments of its own."""
-        image = self.pair.color8[1]
-        labels = self.once(lambda: m.segmentation(image), m.segmentation, "right")
-        there = np.full_like(volume.costs, volume.costs.max())
-        width = image.shape[1]
-        for d in range(self.top + 1):
-            there[:, : width - d, d] = volume.costs[:, d:, d]
-        costs = segment_window(CostVolume(there, volume.scale), labels, m.window_radius)
-        if matches is not None:
-            moved = replace(matches, x=matches.x - matches.disparity)
-            low, high = m.ranges(labels, moved, self.top).limits[labels].transpose(2, 0, 1)[..., None]
-            d = np.arange(self.top + 1)
-            costs = CostVolume(np.where((d < low) | (d > high), np.uint16(65535), costs.costs), costs.scale)
-        right = costs.costs.argmin(axis=2)
-        left = first.values.astype(np.int64)
-        columns = np.arange(width) - left
-        agrees = np.abs(np.take_along_axis(right, np.maximum(columns, 0), axis=1) - left) <= m.selection.tolerance
-        return FirstEstimate(first.values, agrees & (columns >= 0), right.astype(np.uint16))
 
 
 def loss_of_tables(rows: Rates) -> float:
@@ -164,30 +128,30 @@ def loss_of_tables(rows: Rates) -> float:
     return loss + 0.5 * float(np.mean(np.abs(ours - printed)) / np.mean(printed))
 
 
-def tables(data: Path) -> Callable[[Any, bool, float], Rates]:
+def tables(data: Path) -> Callable[[Any, float], Rates]:
     """Return what measures a method on v2; the other three scenes only where Tsukuba leaves a chance."""
     steps = {scene.name: Steps(scene) for scene in scenes_in(data / "middlebury_v2")}
 
-    def measure(method: Any, own: bool, best: float) -> Rates:
+    def measure(method: Any, best: float) -> Rates:
         rows: Rates = {}
         for name, term in list(zip(NEEDED, TERMS, strict=True))[::-1]:
-            rows[name] = steps["Tsukuba"].rates(method, own, *term)
+            rows[name] = steps["Tsukuba"].rates(method, *term)
             if loss_of_tables(rows) - 10 > 0.85 * best:  # the other three scenes will add that much
                 return rows
         rows |= {"Tsukuba": rows["DEDC and KP"]}
-        return rows | {name: steps[name].rates(method, own, True, "dedc") for name in SCENES[1:]}
+        return rows | {name: steps[name].rates(method, True, "dedc") for name in SCENES[1:]}
 
     return measure
 
 
-def elsewhere(data: Path) -> Callable[[Any, bool, float], Rates]:
+def elsewhere(data: Path) -> Callable[[Any, float], Rates]:
     """Return what measures a method on scenes of 2001 to 2006."""
     steps = {name: Steps(scenes_in(data / folder, name)[0]) for folder, name in ELSEWHERE}
 
-    def measure(method: Any, own: bool, best: float) -> Rates:
+    def measure(method: Any, best: float) -> Rates:
         rows: Rates = {}
         for name, step in steps.items():
-            rows[name] = step.rates(method, own, True, "dedc")
+            rows[name] = step.rates(method, True, "dedc")
             if sum(map(np.mean, rows.values())) > best * len(steps):
                 break
         return rows
@@ -206,16 +170,15 @@ def order_of_random_settings(data: Path, count: int, rng: random.Random) -> str:
     steps, held = Steps(scene), np.zeros(5, int)
     for _ in range(count):
         setting = {key: rng.choice(values) for key, values in OPEN.items()}
-        method, own = method_of(setting), setting[RIGHT] == "own"
-        a, b, c, d = (steps.rates(method, own, points, term)[0] for points, term in TERMS)
+        a, b, c, d = (steps.rates(method_of(setting), points, term)[0] for points, term in TERMS)
         held += [b < a, c < a, d < c, d < b, d <= c < b < a]
     names = "KP < baseline", "DEDC < baseline", "both < DEDC", "both < KP", "all four in order"
     return ", ".join(f"{name}: {n} of {count}" for name, n in zip(names, held, strict=True))
 
 
 def method_of(setting: dict[str, Any]) -> Any:
-    """Return the pipeline of a setting, but for RIGHT."""
-    changes = [f"{key}={json.dumps(value)}" for key, value in setting.items() if key != RIGHT]
+    """Return the pipeline of a setting."""
+    changes = [f"{key}={json.dumps(value)}" for key, value in setting.items()]
     return config_of("stereo", "thesis/ch2-kp-dedc", *changes).pipeline
 
 
@@ -239,7 +202,7 @@ def main() -> int:
     loss_of = loss_elsewhere if options.others else loss_of_tables
     config = StereoConfig.model_validate(DEFAULTS) if options.others else config_of("stereo", "thesis/ch2-kp-dedc")
     own = config.model_dump(mode="json", by_alias=True)
-    start = {key: own_value(own, key) for key in OPEN if key != RIGHT} | {RIGHT: "same"}
+    start = {key: reduce(getitem, key.split("."), own) for key in OPEN}
     following = [] if json.dumps(start) in tried else [start]
     good = {loss_of(rows): setting for setting, rows in kept}  # one of each loss
     rng, end = random.Random(f"{options.seed} {len(tried)}"), time.monotonic() + 60 * options.minutes
@@ -249,20 +212,12 @@ def main() -> int:
             setting = following.pop() if following else changed(rng.choice(list(good.values())), rng)
             if json.dumps(setting) in tried:
                 continue
-            rows = tried[json.dumps(setting)] = measure(
-                method_of(setting), setting[RIGHT] == "own", max(good, default=np.inf)
-            )
+            rows = tried[json.dumps(setting)] = measure(method_of(setting), max(good, default=np.inf))
             print(json.dumps([setting, rows]), file=out, flush=True)
             good.setdefault(loss_of(rows), setting)
     for setting in sorted(tried, key=lambda setting: loss_of(tried[setting]))[:5]:
         print(f"{loss_of(tried[setting]):.4f}", setting, json.dumps(tried[setting]))
     return 0
-
-
-def own_value(config: Any, key: str) -> Any:
-    for part in key.split("."):
-        config = config[part]
-    return config
 
 
 if __name__ == "__main__":
