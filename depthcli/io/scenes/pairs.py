@@ -478,6 +478,8 @@ def _images(place: Path) -> list[_Image]:
             captured = "/".join(filter(None, texts)).removesuffix(file.suffix)
             images.append(_Image(file, captured, str(Path(*file.parts[first:]).with_suffix(""))))
     if not images:
+        if os.path.isdir(place):
+            Folder(place, "", "").has()  # raises InputError if it cannot be read
         query = "; a query behind its URL is read of archives alone" if ":/" in str(place) else ""
         raise ConfigError(f"{place}: matches no image{query}")
     return images
