@@ -9,24 +9,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from depthcli.cli import main
-from depthcli.core.errors import DepthcliError
 from depthcli.io.formats.files import RECORD_FILE
 from depthcli.run.records import REPORT_FILES
 
 
 def run(*arguments: str | Path) -> int:
     return main([str(a) for a in arguments])
-
-
-def refused(kind: type[DepthcliError], said: str, call: Callable[..., object], *arguments: Any, **options: Any) -> str:
-    """Assert that the call ends with an error of one line in which the pattern is found; return the line."""
-    with pytest.raises(kind, match=said) as caught:
-        call(*arguments, **options)
-    assert str(caught.value).isprintable()
-    return str(caught.value)
 
 
 def in_threads(works: Sequence[Callable[[], None]]) -> None:

@@ -1,15 +1,53 @@
 """Inputs that many tests run on, generated once; never write into them."""
 
+import os
+import random
 import shutil
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
 
 from depthcli.cli import main
+from tests import golden
+
+MESSAGES = pytest.StashKey[dict[str, list[str]]]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--renew", action="store_true", help="keep what the program says and writes now as golden texts")
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    session.stash[MESSAGES] = golden.read_messages()
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if session.config.getoption("renew"):
+        golden.renew()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
+    """Compare what the test was told with ``tests/messages.txt``."""
+    golden.temporary = item.config._tmp_path_factory.getbasetemp()  # type: ignore[attr-defined]
+    result = yield
+    if not item.config.getoption("renew"):
+        told, kept = golden.given.get(item.nodeid, []), item.session.stash[MESSAGES].get(item.nodeid, [])
+        assert told == kept, "look at the words; with --renew, pytest keeps them in tests/messages.txt"
+    return result
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put tests that take minutes first: processes that run out of tests take others from the rest."""
+    """Put tests that take minutes first: processes that run out of tests take others from the rest.
+
+    The others are shuffled by the seed ``TEST_ORDER``, if there is one: files, and the tests of each.
+    """
+    if seed := os.environ.get("TEST_ORDER"):
+        chance = {item.path: random.Random(f"{seed} {item.path.name}") for item in items}
+        files = {path: each.random() for path, each in chance.items()}
+        places = {item: (files[item.path], item.path, chance[item.path].random()) for item in items}
+        items.sort(key=places.__getitem__)
     items.sort(key=lambda item: item.get_closest_marker("first") is None)
 
 

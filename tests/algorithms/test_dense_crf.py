@@ -6,6 +6,7 @@ import pytest
 from depthcli.algorithms.dense_crf import GaussianKernel, mean_field
 from depthcli.algorithms.dense_crf.permutohedral import Lattice
 from depthcli.testing.inputs import assert_pure
+from tests.golden import saying
 from tests.naive import dense_crf as naive
 
 
@@ -97,9 +98,7 @@ def test_sizes_around_the_tiles(count, labels, truncation):
         assert np.abs(ours - expected).max() < 0.03
 
 
-@pytest.mark.parametrize(
-    ("features", "message"), [(np.full((4, 2), np.nan), "finite"), (np.eye(4, 6) * 1e6, "too many")]
-)
-def test_features_outside_the_lattice_are_refused(features, message):
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize("features", [np.full((4, 2), np.nan), np.eye(4, 6) * 1e6])
+def test_features_outside_the_lattice_are_refused(features):
+    with saying(ValueError):
         mean_field(np.zeros((4, 3), np.float32), [GaussianKernel(features.astype(np.float32), 1.0)], 1)

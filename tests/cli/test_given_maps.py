@@ -10,7 +10,8 @@ import depthcli
 from depthcli.core.maps import Status
 from depthcli.io.formats.disparity import read_pfm, read_status, write_pfm
 from depthcli.io.formats.images import read_image, write_png
-from tests.command_line import contents, refused, rows, run
+from tests.command_line import contents, rows, run
+from tests.golden import refused, saying, told
 
 NAMES = ["foreground_0", "planes_0"]
 
@@ -126,7 +127,7 @@ def test_several_maps_are_better_than_each(two_scenes: Path, tmp_path: Path, cap
     (tmp_path / "lower" / f"{NAMES[1]}.pfm").unlink()
     words = ("fuse", "maps", "-i", two_scenes, "--maps", tmp_path / "upper", "--maps", tmp_path / "lower")
     assert run(*words, "-o", tmp_path / "best") == 0
-    assert f"{NAMES[1]}: warning: no map of lower: fused without it" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     scene = two_scenes / NAMES[0]
     truth, visible = read_pfm(scene / "disp_left.pfm"), read_image(scene / "mask_nonocc.png")
     best = read_pfm(tmp_path / "best" / NAMES[0] / "disp_left.pfm")
@@ -194,7 +195,7 @@ def test_a_folder_that_cannot_be_used_fails_alone(two_scenes: Path, maps: Path, 
     shutil.copytree(two_scenes, folder)
     shutil.copy(folder / NAMES[0] / "left.png", folder / NAMES[0] / "left.jpg")
     assert run("confidence", "-i", folder, "--maps", maps, "-o", tmp_path / "out", "--evaluate") == 3
-    assert "both left.jpg and left.png" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert (tmp_path / "out" / NAMES[1] / "probability.pfm").is_file()
 
 
@@ -259,14 +260,14 @@ def test_a_scene_without_a_right_image(two_scenes: Path, maps: Path, tmp_path: P
 
 def test_python_speaks_of_keywords():
     left = np.random.default_rng(0).integers(0, 256, (40, 60), np.uint8)
-    with pytest.raises(depthcli.ConfigError, match="no measure called 'x'"):
+    with saying(depthcli.ConfigError):
         depthcli.map_confidence(left, left, np.ones((40, 60)), measures=["x"])
-    with pytest.raises(depthcli.InputError, match="disparity: 59 x 40, but the image is 60 x 40"):
+    with saying(depthcli.InputError):
         depthcli.map_confidence(left, left, np.ones((40, 59)))
-    refused(depthcli.InputError, "1 to", depthcli.fuse_maps, left, left, [])
+    refused(depthcli.InputError, depthcli.fuse_maps, left, left, [])
     found = depthcli.map_confidence(left, left, np.zeros((40, 60)), max_disparity=8)
     assert (found.probability > 0).all()  # 0 is a value
-    refused(depthcli.ConfigError, "exclude", found.kept, 0.5, 0.5)
+    refused(depthcli.ConfigError, found.kept, 0.5, 0.5)
     assert np.isfinite(found.kept(threshold=0.0)).all()
     assert np.count_nonzero(np.isfinite(found.kept(share=0.25))) >= 600
 

@@ -16,7 +16,8 @@ from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.networks import network_path
 from depthcli.methods.stereo.cost.census import Census
-from tests.command_line import refused, run
+from tests.command_line import run
+from tests.golden import refused, told
 from tests.methods.stereo._networks import block_matcher, has_onnx, local_features
 from tests.methods.stereo._pairs import shifted_pair
 
@@ -105,7 +106,7 @@ def test_what_to_install_is_said_in_one_line(scenes: Path, tmp_path: Path, capsy
     file = config(tmp_path, max_disparity=12)
     assert "pip install 'depthcli[onnx]'" in _refused(file, scenes, tmp_path / "run", capsys)
     left = shifted_pair(20, 40, 2).left
-    refused(ConfigError, "pip install", depthcli.stereo, left, left, preset=file)
+    refused(ConfigError, depthcli.stereo, left, left, preset=file)
 
 
 @needs_onnx
@@ -116,7 +117,7 @@ def test_a_scene_at_which_the_network_fails_is_a_failed_row(scenes: Path, tmp_pa
         write_png(scenes / "b" / name, image)
     file = config(tmp_path, max_disparity=12, multiple=1, self_check=False)
     assert run("stereo", file, "-i", scenes, "-o", tmp_path / "run", "-q") == 3
-    assert "the network fails for left (1, 3, 41, 90)" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert (tmp_path / "run" / "a" / "disp_left.pfm").is_file()
 
 

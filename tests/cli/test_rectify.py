@@ -1,7 +1,6 @@
 """Rigs with known cameras and a known room: rectified by every kind of calibration, matched, turned into meters."""
 
 import json
-import re
 import shutil
 from collections import Counter
 from dataclasses import replace
@@ -23,7 +22,8 @@ from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.methods.stereo.rectification import rectify_uncalibrated, row_error
 from depthcli.problems import rectified
-from tests.command_line import contents, refused, run
+from tests.command_line import contents, run
+from tests.golden import refused, told
 
 SIZE = (240, 180)
 # Planes n . X = 1 in the left camera's frame, nearest last: a slanted wall, a board in front of it.
@@ -176,7 +176,7 @@ def test_every_kind_of_file_gives_the_rig(fisheye: bool, tmp_path: Path):
         same_rig(read_rig([opencv(tmp_path / f"a.{suffix}", taken)], Reading(fisheye=fisheye)), taken)
     old = opencv(tmp_path / "old.yml", taken, "M1 D1 M2 D2 R T", 0.001)
     same_rig(read_rig([old], Reading("mm", fisheye)), taken)
-    refused(InputError, "unit mm", read_rig, [old], Reading(fisheye=fisheye))
+    refused(InputError, read_rig, [old], Reading(fisheye=fisheye))
     same_rig(read_rig(ros(tmp_path, taken)), taken)
     same_rig(read_rig([kalibr(tmp_path / "chain.yaml", taken)]), taken)
     if not fisheye:
@@ -208,7 +208,7 @@ def test_an_unusual_baseline_asks_for_its_unit(baseline: float, unit: str | None
     for one in [*files, [tmp_path / "K.txt"]]:
         with collected_warnings() as lines:
             if "which" in said:
-                refused(InputError, f"{one[0].name}: .*{re.escape(said)}", read_geometry, one, Reading(unit))
+                refused(InputError, read_geometry, one, Reading(unit))
                 continue
             geometry = read_geometry(one, Reading(unit))
         assert geometry.baseline == pytest.approx(baseline * meters, rel=1e-3)
@@ -234,7 +234,7 @@ def test_units_that_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     for line in lines:
         for wrong in ("inch", "0mm", "5", "-2mm"):
             assert run(*line, *calibration, "--unit", wrong, "-o", tmp_path / "out") == 2
-            assert "--unit: expected m, cm, mm, or a length" in capsys.readouterr().err
+            told(capsys.readouterr().err)
         for option in (("--unit", "mm"), ("--fisheye",), ("--cameras", "0,1"), ("--alpha", "1")):
             assert run(*line, *option, "-o", tmp_path / "out", "-q") in (2, 3)  # there is no calibration
 
@@ -492,7 +492,7 @@ def test_a_config_rectifies_on_the_fly(pinhole: Shot, tmp_path: Path, capsys: py
     # The option says the same; what was made is kept until the calibration changes.
     capsys.readouterr()
     assert run("stereo", "fast", *pinhole.words, "--calibration", file, "-o", tmp_path / "one") == 0
-    assert "done already" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     opencv(file, rig(strength=0.75))
     assert run(*once) == 0
     said = capsys.readouterr().err
@@ -514,10 +514,10 @@ def test_python_rectifies_as_the_command_does(pinhole: Shot, tmp_path: Path, cap
     for name in ("disp_left.pfm", "status.png", "left.png", "calib.txt"):
         assert (tmp_path / "python" / name).read_bytes() == (tmp_path / "run/room" / name).read_bytes()
     assert (tmp_path / "metric/depth.pfm").read_bytes() == (tmp_path / "depth/room/depth.pfm").read_bytes()
-    refused(depthcli.InputError, "unit", depthcli.stereo, *views, 30, "fast", calibration=str(other))
+    refused(depthcli.InputError, depthcli.stereo, *views, 30, "fast", calibration=str(other))
     for unit, code in (((), 2), (("--unit", "inch"), 2), (("--unit", "mm"), 0)):
         assert run("stereo", "fast", *images, "--calibration", other, *unit, "-o", tmp_path / "mm") == code
-    assert "unit mm" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert (tmp_path / "mm/room/disp_left.pfm").read_bytes() == (tmp_path / "run/room/disp_left.pfm").read_bytes()
 
 
@@ -615,7 +615,7 @@ def test_a_turned_camera_is_no_second_one(pinhole: Shot, tmp_path: Path, capsys:
     write_png(tmp_path / "turned.png", turned)
     images = ("--left", pinhole.left, "--right", tmp_path / "turned.png", "--name", "room")
     assert run("rectify", *images, "--uncalibrated", "-o", tmp_path / "scenes") == 0
-    assert "there is no depth to be found" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert run("rectify", *pinhole.words, "--uncalibrated", "-o", tmp_path / "other") == 0
     assert "no depth" not in capsys.readouterr().err
 
@@ -653,7 +653,7 @@ def test_without_calibration(pinhole: Shot, tmp_path: Path, capsys: pytest.Captu
     for other in ("other.png", "flat.png"):
         pair = ("--left", taken.left, "--right", tmp_path / other, "--name", other)
         assert run("rectify", *pair, "--uncalibrated", "-o", tmp_path / "scenes", "-q") == 3
-        assert "key points" in capsys.readouterr().err
+        told(capsys.readouterr().err)
         assert not (tmp_path / "scenes" / other / "left.png").exists()
 
 
@@ -666,7 +666,7 @@ def test_points_that_no_two_cameras_explain_are_refused():
     assert row_error(one, other) < 0.01
     assert np.quantile(one[:, 0] - other[:, 0], 0.01) == pytest.approx(0.02 * 200, abs=0.1)
     right[:180, 1] += rng.choice([-1, 1], 180) * rng.uniform(1.5, 2.5, 180)
-    refused(InputError, "at most 1 px may be left", rectify_uncalibrated, left, right, (200, 200))
+    refused(InputError, rectify_uncalibrated, left, right, (200, 200))
 
 
 @pytest.mark.slow
@@ -677,23 +677,23 @@ def test_wrong_calibrations(pinhole: Shot, tmp_path: Path, capsys):
     above = Rig(taken.left, taken.right, np.eye(3), np.array([0.0, 0.1, 0.0]))
     (tmp_path / "text.yml").write_text("nothing: here\n")
     (tmp_path / "part.yml").write_text("%YAML:1.0\n---\nalpha: 5\n")
-    for file, said in (
-        (opencv(tmp_path / "swapped.yml", swapped), "exchange the images"),
-        (opencv(tmp_path / "above.yml", above), "one above the other"),
-        (tmp_path / "text.yml", "of a kind that is known"),
-        (tmp_path / "part.yml", "no K1, D1, K2, D2, R, T"),
-        (ros(tmp_path, taken)[0], "give the left and the right one"),
-        (tmp_path / "absent.yml", "no such file"),
+    for file in (
+        opencv(tmp_path / "swapped.yml", swapped),
+        opencv(tmp_path / "above.yml", above),
+        tmp_path / "text.yml",
+        tmp_path / "part.yml",
+        ros(tmp_path, taken)[0],
+        tmp_path / "absent.yml",
     ):
         assert run("rectify", *images, "--calibration", file) == 3
-        assert said in capsys.readouterr().err
+        told(capsys.readouterr().err)
     for options in ((), ("--calibration", "a", "--uncalibrated"), ("--calibration", "a", "--unit", "inch")):
         assert run("rectify", *images, *options) == 2
     # The rows of another rig's calibration do not fit: said, not refused.
     bent = Rig(taken.left, taken.right, rotation(5, 0, 0) @ taken.rotation, taken.translation)
     images = (*images[:-1], "--overwrite")
     assert run("rectify", *images, "--calibration", opencv(tmp_path / "bent.yml", bent)) == 0
-    assert "is it the calibration of these images?" in capsys.readouterr().err
+    told(capsys.readouterr().err)
 
 
 def test_alpha_shows_everything(pinhole: Shot, tmp_path: Path):
@@ -737,7 +737,7 @@ def test_a_calibration_of_two_files_is_taken_everywhere(pinhole: Shot, tmp_path:
     for command in (("stereo", "fast"), ("rectify",)):
         twice = both([whole, opencv(tmp_path / "d.yml", pinhole.rig)])
         assert run(*command, *pinhole.words, *twice, "-o", tmp_path / "none", "-q") != 0
-        assert "both have K1" in capsys.readouterr().err
+        told(capsys.readouterr().err)
 
 
 @pytest.mark.parametrize("kind", ["opencv", "projections", "ros", "kalibr", "kitti"])

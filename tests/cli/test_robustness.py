@@ -13,6 +13,7 @@ from depthcli.cli import main
 from depthcli.io.formats.images import write_png
 from tests import damage
 from tests.command_line import contents, rows, statuses
+from tests.golden import told
 
 PRESET = "opencv-bm"
 Damage = Callable[[np.random.Generator, Path], None]
@@ -190,7 +191,7 @@ def test_loops_of_links(two_scenes, tmp_path, capsys):
     for name in ("loop", "loop.yaml"):
         (tmp_path / name).symlink_to(name)
     assert main(["stereo", PRESET, "-i", str(tmp_path / "in"), "-o", str(tmp_path / "r"), "-q"]) == 3
-    assert f"planes_0: {victim}: cannot be read (Too many levels of symbolic links)" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert statuses(tmp_path / "r") == {"foreground_0": "done", "planes_0": "failed"}
     loop, scenes = str(tmp_path / "loop"), str(two_scenes)
     for arguments in (
@@ -201,7 +202,7 @@ def test_loops_of_links(two_scenes, tmp_path, capsys):
         ["evaluate", str(tmp_path / "r"), "--truth", loop],
     ):
         assert main(arguments) == 2, arguments
-        assert "loop" in capsys.readouterr().err
+        told(capsys.readouterr().err)
 
 
 @pytest.mark.parametrize("name", ["run.yaml", "report.json", "planes_0/record.json"])

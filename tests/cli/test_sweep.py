@@ -15,7 +15,7 @@ from depthcli.core.yaml_source import read_config
 from depthcli.evaluation.sweeps import combinations, effects, folder_names, parse_axes, value_text
 from depthcli.problems.stereo import StereoConfig
 from depthcli.run.folder import FolderLock
-from tests.command_line import refused
+from tests.golden import refused, told
 
 
 def sweep(two_scenes: Path, output: Path, *more: str) -> int:
@@ -62,11 +62,11 @@ def test_a_sweep_is_resumed_and_says_what_matters(two_scenes: Path, tmp_path: Pa
 
 def test_wrong_keys_are_told_before_anything_is_computed(two_scenes: Path, tmp_path: Path, capsys):
     assert sweep(two_scenes, tmp_path / "a", "--over", "optimization.pp=2,8") == 2
-    assert "depthcli: --over optimization.pp: no such key" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert sweep(two_scenes, tmp_path / "a", "--over", "optimization.p2=2,-8") == 2
-    assert "depthcli: --over optimization.p2: should be greater than 0 (got -8)" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert sweep(two_scenes, tmp_path / "a", "--over", "optimization.p2=2", "--command", "evaluate") == 2
-    assert "--command: must be one of stereo, fuse" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert not (tmp_path / "a").exists()
 
 
@@ -87,7 +87,7 @@ def test_the_thesis_s_symbols_are_names_of_keys(two_scenes: Path, tmp_path: Path
     rows = json.loads(capsys.readouterr().out)["runs"]
     assert [row["run"] for row in rows][1:] == ["margin=0.1,color_scale=150", "margin=0.2,color_scale=150"]
     assert main([*command, *over, "--over", "ranges.margin=0.3"]) == 2
-    assert "ranges.margin" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     for name, keys in {"ch2-kp-dedc": "alpha lambda w sigma hs hr", "ch3-ad-census-cross": "tau L",
                        "ch3-ad-aw": "gamma_c gamma_s"}.items():  # fmt: skip
         command = ["stereo", f"thesis/{name}", "-i", str(two_scenes), "--dry-run"]
@@ -110,14 +110,14 @@ def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(two_scenes: Path,
     assert main([*command[:-2], "--dry-run", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["output"] is None
     assert main(command[:-2]) == 2
-    assert "--output" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert main([*command, "--scenes", "foreground_0", "-q"]) == 0
     assert main([*command, "--dry-run", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert [row["status"] for row in document["scenes"]] == ["done, kept", "to do"]
     assert all(180 << 20 < row["memory"] < 300 << 20 for row in document["scenes"])  # of the whole process
     assert main([*command[:-1], str(tmp_path / "small"), "--max-memory", "100MiB"]) == 3
-    assert "100 MiB may be used" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert main([*command, "--set", "optimization.p2=3", "--dry-run"]) == 2
     err = capsys.readouterr().err
     assert "another config; needs --overwrite" in err and "has a run of another config (it has" in err
@@ -130,7 +130,7 @@ def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(two_scenes: Path,
 def test_dry_runs_of_commands_without_a_config(two_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     output = tmp_path / "out"
     assert main(["sample", "-o", str(output), "--dry-run"]) == 0
-    assert "6 to do" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     run = tmp_path / "run"
     assert main(["stereo", "fast", "-i", str(two_scenes), "-o", str(run), "-q"]) == 0
     assert main(["depth", str(run), "-o", str(output), "--dry-run"]) == 0
@@ -145,9 +145,9 @@ def test_dry_runs_of_commands_without_a_config(two_scenes: Path, tmp_path: Path,
     absent = str(tmp_path / "absent.yml")
     command = ["rectify", "-i", str(two_scenes), "-o", str(output), "--dry-run"]
     assert main([*command, "--calibration", absent]) == 0
-    assert absent in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert main([*command, "--uncalibrated"]) == 0
-    assert "2 scenes: 2 to do" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert not output.exists()
 
 
@@ -197,7 +197,7 @@ def test_axes(text: str, values: tuple[str, ...]):
 
 @pytest.mark.parametrize("text", ["a", "=1", "a=", "a=1,,2", "a=2,2", "a=1:5:0", "a=5:1:1", "a=0:1:1e-9", "b=1"])
 def test_wrong_axes(text: str):
-    refused(ConfigError, "--over", parse_axes, ["b=1", text])
+    refused(ConfigError, parse_axes, ["b=1", text])
 
 
 AXES = {"x": ["1", "2", "3"], "y": ["a", "b"]}
@@ -214,7 +214,7 @@ def test_all_combinations_and_draws():
     assert len({tuple(combinations(AXES, 3, seed)) for seed in range(20)}) > 3
     huge = {name: list(map(str, range(100))) for name in "abcdef"}
     assert len(set(combinations(huge, 10))) == 10
-    refused(ConfigError, "draw fewer", combinations, huge)
+    refused(ConfigError, combinations, huge)
 
 
 def test_names_are_short_and_differ():

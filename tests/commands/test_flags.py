@@ -14,7 +14,7 @@ from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.volumes import read_volume, write_array
 from depthcli.run.console import Reporter
 from depthcli.run.flags import conditions_of, flag_rows, plain_name
-from tests.command_line import refused
+from tests.golden import refused
 
 
 def test_runs_say_which_scenes_are_flagged(two_scenes, tmp_path, capsys):
@@ -210,7 +210,7 @@ def test_rows_without_a_value_are_not_flagged_but_counted(capsys):
 
 @pytest.mark.parametrize("text", ["measured", "measured<", "", "measured<much", "measured=>0.5", "measured<nan"])
 def test_wrong_conditions_are_refused_in_one_line(text):
-    refused(ConfigError, "--flag", conditions_of, [text], False)
+    refused(ConfigError, conditions_of, [text], False)
 
 
 def test_table_and_json():

@@ -11,41 +11,41 @@ from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair, infrared_image
 from depthcli.core.volumes import ENDS, Grid
-from tests.command_line import refused
+from tests.golden import refused, saying
 
 MATRIX = np.array([[190.0, 0, 98], [0, 192, 77], [0, 0, 1]])
 CAMERA = Camera(MATRIX, (0.05, -0.03, 0.001, -0.001, 0.0))
 
 
 @pytest.mark.parametrize(
-    ("matrix", "distortion", "fisheye", "said"),
+    ("matrix", "distortion", "fisheye"),
     [
-        (np.zeros((3, 3)), (0,) * 5, False, "positive focal lengths"),
-        (np.full((3, 3), np.nan), (0,) * 5, False, "finite 3 x 3"),
-        (np.ones((3, 3)), (0,) * 5, False, "singular"),
-        (MATRIX, (0.1, 0.2), False, "4, 5, 8, 12, 14 coefficients"),
-        (MATRIX, (0,) * 5, True, "fisheye lens has 4 coefficients"),
-        (MATRIX, (0, 0, 0, np.inf), False, "coefficients"),
+        (np.zeros((3, 3)), (0,) * 5, False),
+        (np.full((3, 3), np.nan), (0,) * 5, False),
+        (np.ones((3, 3)), (0,) * 5, False),
+        (MATRIX, (0.1, 0.2), False),
+        (MATRIX, (0,) * 5, True),
+        (MATRIX, (0, 0, 0, np.inf), False),
     ],
 )
-def test_impossible_cameras_are_refused(matrix, distortion, fisheye, said):
-    refused(InputError, said, Camera, matrix, distortion, None, fisheye)
+def test_impossible_cameras_are_refused(matrix, distortion, fisheye):
+    refused(InputError, Camera, matrix, distortion, None, fisheye)
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    "changes",
     [
-        ({"rotation": 2 * np.eye(3)}, "not a rotation"),
-        ({"rotation": -np.eye(3)}, "not a rotation"),
-        ({"rotation": np.eye(2)}, "expected R"),
-        ({"translation": np.zeros(3)}, "at one place"),
-        ({"translation": np.array([np.nan, 0, 0])}, "at one place"),
-        ({"right": Camera(MATRIX, (0,) * 4, None, True)}, "cannot be rectified together"),
+        {"rotation": 2 * np.eye(3)},
+        {"rotation": -np.eye(3)},
+        {"rotation": np.eye(2)},
+        {"translation": np.zeros(3)},
+        {"translation": np.array([np.nan, 0, 0])},
+        {"right": Camera(MATRIX, (0,) * 4, None, True)},
     ],
 )
-def test_impossible_rigs_are_refused(changes, said):
+def test_impossible_rigs_are_refused(changes):
     values = {"left": CAMERA, "right": CAMERA, "rotation": np.eye(3), "translation": np.array([-0.1, 0, 0])}
-    refused(InputError, said, Rig, **{**values, **changes})
+    refused(InputError, Rig, **{**values, **changes})
 
 
 def test_a_camera_sees_a_point_on_the_ray_of_its_pixel_and_of_two_the_nearer_one():
@@ -91,7 +91,7 @@ def test_bits_must_fit_the_type():
     image = np.zeros((2, 2), np.uint8)
     assert StereoPair(image, image, 8).grey[0] is image
     for bits in (0, 9):
-        with pytest.raises(ValueError, match="bits"):
+        with saying(ValueError):
             StereoPair(image, image, bits)
 
 

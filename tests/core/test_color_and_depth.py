@@ -6,7 +6,7 @@ import pytest
 from depthcli.core.cameras.camera import Camera, Intrinsics
 from depthcli.core.cameras.color_and_depth import ColorAndDepth, Place, draw_quads, registered
 from depthcli.core.errors import InputError
-from tests.command_line import refused
+from tests.golden import refused
 from tests.naive.quads import draw_quads as naive_quads
 from tests.rendered import COLOR, COLOR_SHAPE, DEPTH, DEPTH_SHAPE, ROTATION, TRANSLATION, near_edges, noisy, rendered
 
@@ -108,22 +108,21 @@ def test_a_map_of_the_same_aspect_is_taken_as_registered():
 
 
 @pytest.mark.parametrize(
-    ("shape", "color", "camera", "place", "said"),
+    ("shape", "color", "camera", "place"),
     [
-        ((48, 64), None, DEPTH, None, "want those of the color camera"),
-        ((48, 64), COLOR, None, PLACE, "depth_to_color wants depth_intrinsics"),
-        ((48, 60), COLOR, None, None, "60 x 48, but the color image is 480 x 360; .* depth_intrinsics"),
-        ((48, 64), COLOR, Intrinsics(0, 1, 2, 3), None, "positive focal lengths"),
-        ((48, 64), COLOR, DEPTH, ((0.0,) * 9, (0.0,) * 3), "not a rotation matrix"),
-        ((48, 64), COLOR, DEPTH, (PLACE[0], (30.0, 0, 0)), "expected meters"),
+        ((48, 64), None, DEPTH, None),
+        ((48, 64), COLOR, None, PLACE),
+        ((48, 60), COLOR, None, None),
+        ((48, 64), COLOR, Intrinsics(0, 1, 2, 3), None),
+        ((48, 64), COLOR, DEPTH, ((0.0,) * 9, (0.0,) * 3)),
+        ((48, 64), COLOR, DEPTH, (PLACE[0], (30.0, 0, 0))),
         (
             (48, 64),
             COLOR,
             DEPTH,
             ((-1.0, 0, 0, 0, 1, 0, 0, 0, -1), (0.0, 0, 0)),
-            "no point of the depth map lies in the color image",
         ),
     ],
 )
-def test_cameras_that_do_not_fit_are_refused(shape, color, camera, place, said):
-    refused(InputError, said, registered, np.full(shape, 2, np.float32), COLOR_SHAPE, color, camera, place)
+def test_cameras_that_do_not_fit_are_refused(shape, color, camera, place):
+    refused(InputError, registered, np.full(shape, 2, np.float32), COLOR_SHAPE, color, camera, place)

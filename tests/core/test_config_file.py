@@ -15,8 +15,8 @@ from depthcli.core.method import Family, RootConfig
 from depthcli.core.yaml_source import parse_config, read_config
 from depthcli.problems.fusion import FuseConfig
 from depthcli.problems.stereo import StereoConfig
-from tests.command_line import refused
 from tests.core.toys import AnyToy
+from tests.golden import refused, saying
 
 
 class Root(RootConfig):
@@ -55,7 +55,7 @@ def test_symbols_are_other_names_of_keys_for_options(tmp_path: Path):
     root = load_config(Root, tmp_path / "b.yaml", ["T=4", "H=3"])
     assert (root.top, root.toy.size) == (None, (4, 3))
     assert "symbols" not in dump_config(root)
-    with pytest.raises(ConfigError, match=r"--set T: top: "):
+    with saying(ConfigError):
         load_config(Root, tmp_path / "a.yaml", ["T=x"])
     assert problems("toy: box\nsize: [7, 9]\nsymbols: [T]\n") == [
         "f.yaml:3: symbols: expected symbols and their keys, such as w: energy.smoothness"
@@ -108,7 +108,7 @@ def test_files_that_are_no_text(data: bytes | None, tmp_path: Path):
     file = tmp_path / "c.yaml"
     if data is not None:
         file.write_bytes(data)
-    refused(ConfigError, r"c\.yaml(:1)?: (not UTF-8|larger than 1 MiB|cannot be read)", read_config, file)
+    refused(ConfigError, read_config, file)
 
 
 def test_anchors_merge_keys_and_numbers_without_a_dot():
@@ -160,14 +160,14 @@ def test_set_says_what_is_wrong(setting: str, said: str):
 
 def test_options_are_blamed_by_their_name(tmp_path: Path):
     write(tmp_path, c="pipeline: opencv_bm\n", f="measures: [{cost: census}]\n")
-    with pytest.raises(ConfigError, match=r"^--max-disparity: should be"):
+    with saying(ConfigError):
         load_config(StereoConfig, tmp_path / "c.yaml", [("--max-disparity", "max_disparity=0")])
-    with pytest.raises(ConfigError, match=r"^--set measures\.0\.volume: .*either cost or volume"):
+    with saying(ConfigError):
         load_config(FuseConfig, tmp_path / "f.yaml", ["measures.0.volume=x.npy"])
-    with pytest.raises(ConfigError, match=r"^override max_disparity: should be"):
+    with saying(ConfigError):
         load_config(StereoConfig, tmp_path / "c.yaml", values={"max_disparity": 0})
     for text in ("9" * 6000, "0x" + "f" * 6000, "1e305", "[" * 300):
-        with pytest.raises(ConfigError, match="--set max_disparity"):
+        with saying(ConfigError):
             load_config(StereoConfig, tmp_path / "c.yaml", [f"max_disparity={text}"])
 
 
@@ -223,21 +223,14 @@ def test_mistakes_of_bases_and_of_nested_keys_are_told_where_they_stand(
         tmp_path, wrong="pipeline: local\ncost: {method: census, windw: 3}\n", over="base: wrong\naggregation: cros\n"
     )
     write(tmp_path, keys="pipeline: segments\ncost: census\nkeypoints: {method: SURF, treshold: 1}\n")
-    for name, said in (
-        ("one", r"two\.yaml:1: base: one leads back to this file"),
-        ("none", r"none\.yaml:1: base: \"nowhere\" is neither a preset nor a file beside this one"),
-        ("odd", r"odd\.yaml:1: base: expected the name of a preset or a file \(got \[1\]\)"),
-        ("over", r"wrong\.yaml:2: cost\.windw: no such key .*did you mean 'window'"),
-        ("over", r"over\.yaml:2: aggregation: no method called 'cros'; did you mean 'cross'"),
-        ("keys", r"keys\.yaml:3: keypoints\.treshold: .*did you mean 'threshold'"),
-    ):
-        with pytest.raises(ConfigError, match=said):
+    for name in ("one", "none", "odd", "over", "keys"):
+        with saying(ConfigError):
             load_config(StereoConfig, tmp_path / f"{name}.yaml")
     write(tmp_path, low="pipeline: opencv_bm\n", fuse="measures: [{method: census, windw: [5, 5]}]\n")
     monkeypatch.setattr("depthcli.core.config_file.find_preset", lambda command, name: tmp_path / "low.yaml")
     found = load_config(StereoConfig, tmp_path / "none.yaml")
     assert found.pipeline.method_name() == "opencv_bm"
-    with pytest.raises(ConfigError, match=r"fuse\.yaml:1: measures\.0\.windw: .*did you mean 'window'"):
+    with saying(ConfigError):
         load_config(FuseConfig, tmp_path / "fuse.yaml")
 
 

@@ -22,7 +22,7 @@ from depthcli.evaluation import protocols
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_disparity, read_pfm, read_plane
 from depthcli.problems.stereo import StereoConfig
-from tests.command_line import refused
+from tests.golden import refused, saying, told
 
 COSTS = Family.of("depthcli.methods.stereo.cost")
 
@@ -183,12 +183,12 @@ def test_classes_of_a_file_are_found_by_their_names(file: Path):
 
 def test_a_mistake_names_the_plugin_s_keys_and_methods(file: Path):
     load_plugin(str(file))
-    for text, said in (
-        ("cost: wide_censu", r"no method called 'wide_censu'; did you mean 'wide_census'.* wide_census \(mine\.py\)"),
-        ("cost: census\nconfidence: [pkrr]", r"no confidence measure called 'pkrr'; did you mean 'pkrn?'\?; one of: "),
-        ("cost: {method: wide_census, windw: 3}", r"cost\.windw: no such key .*did you mean 'window'"),
+    for text in (
+        "cost: wide_censu",
+        "cost: census\nconfidence: [pkrr]",
+        "cost: {method: wide_census, windw: 3}",
     ):
-        refused(ConfigError, said, load_config, StereoConfig, parse_config(f"pipeline: local\n{text}\n", "x"))
+        refused(ConfigError, load_config, StereoConfig, parse_config(f"pipeline: local\n{text}\n", "x"))
 
 
 def test_a_command_of_a_file(file: Path, capsys: pytest.CaptureFixture[str]):
@@ -199,27 +199,24 @@ def test_a_command_of_a_file(file: Path, capsys: pytest.CaptureFixture[str]):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    "text",
     [
-        ("import nowhere_at_all", r"mine\.py:1: plug-in cannot be loaded: ModuleNotFoundError"),
-        ("import sys\nsys.exit(0)", r"mine\.py:2: plug-in cannot be loaded: SystemExit: 0"),
-        ("raise BaseException('panic')", r"mine\.py:1: plug-in cannot be loaded: BaseException: panic"),
-        ("x = 1\n1 / 0", r"mine\.py:2: plug-in cannot be loaded: ZeroDivisionError: division by zero"),
-        ("def f(:", r"mine\.py.*plug-in cannot be loaded: SyntaxError"),
-        ("x = 3", r"mine\.py: plug-in cannot be loaded: TypeError: it holds no command"),
-        (None, r"mine\.py: plug-in cannot be loaded: FileNotFoundError"),
-        (
-            FILE.replace("WideCensus(", "Rank("),
-            r"mine\.py: .* class Rank: there is a 'rank' in .*\.stereo\.cost already",
-        ),
-        (FILE.replace("def greet", "def stereo"), r"mine\.py:\d+: .* depthcli has a command stereo already"),
+        "import nowhere_at_all",
+        "import sys\nsys.exit(0)",
+        "raise BaseException('panic')",
+        "x = 1\n1 / 0",
+        "def f(:",
+        "x = 3",
+        None,
+        FILE.replace("WideCensus(", "Rank("),
+        FILE.replace("def greet", "def stereo"),
     ],
 )
-def test_a_file_that_is_no_plugin(text: str | None, said: str, tmp_path: Path):
+def test_a_file_that_is_no_plugin(text: str | None, tmp_path: Path):
     path = tmp_path / "mine.py"
     if text is not None:
         path.write_text(text)
-    refused(ConfigError, said, load_plugin, str(path))
+    refused(ConfigError, load_plugin, str(path))
     assert not plugins.loaded
     path.write_text(FILE)
     load_plugin(str(path))  # mended, in the same process
@@ -248,9 +245,9 @@ def test_an_installed_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 def test_a_broken_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     install(tmp_path, monkeypatch, "strange-kit", "import nowhere_at_all\n")
     assert main(["--plugin", "strange_kit", "--help"]) == 2
-    assert "strange_kit/module.py:1: plug-in cannot be loaded: ModuleNotFound" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert main(["--plugin", "strange_kid", "--help"]) == 2
-    assert "strange_kid: plug-in cannot be loaded: ModuleNotFound" in capsys.readouterr().err
+    told(capsys.readouterr().err)
 
 
 def test_presets_of_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
@@ -272,7 +269,7 @@ def test_presets_of_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ca
     assert "depthcli stereo Elas ..." in capsys.readouterr().out
     (package / "presets" / "stereo" / "Elas.yaml").write_bytes(b"# \xff\npipeline: local\n")
     assert main(["presets", "show", "elas"]) == 2
-    assert "Elas.yaml:1: not UTF-8 text" in capsys.readouterr().err
+    told(capsys.readouterr().err)
 
 
 @pytest.mark.slow
@@ -292,11 +289,11 @@ def test_a_run_records_its_plugins(file: Path, scenes: Path, tmp_path: Path, cap
     assert "\n    mine.py: " in (out / "run.yaml").read_text()
     capsys.readouterr()
     assert main(run) == 0
-    assert "2 of 2 scenes are done already" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     forget()
     file.write_text(file.read_text() + "# changed\n")
     assert main(run) == 2
-    assert "another config (it has 'mine.py: " in capsys.readouterr().err
+    told(capsys.readouterr().err)
 
 
 def test_layouts_and_formats_are_recorded_where_they_are_used(file: Path, scenes: Path, tmp_path: Path):
@@ -322,13 +319,13 @@ def test_maps_of_a_format_are_read_everywhere(file: Path, tmp_path: Path):
         np.testing.assert_array_equal(read(path), np.array([[1.5, np.nan], [2, np.nan]], np.float32))
     for text in ("1 2\n3\n", "one"):
         path.write_text(text)
-        refused(InputError, r"a\.numbers: cannot be read as my_text", read_plane, path)
+        refused(InputError, read_plane, path)
 
 
 def test_a_format_cannot_take_an_ending_of_ours(tmp_path: Path):
     path = tmp_path / "bad.py"
     path.write_text(FILE.replace(".numbers", ".png"))
-    refused(ConfigError, r"bad\.py:\d+: .*\.png is read by depthcli itself", load_plugin, str(path))
+    refused(ConfigError, load_plugin, str(path))
 
 
 def test_a_config_names_its_plugins(file: Path, tmp_path: Path):
@@ -343,13 +340,13 @@ def test_a_config_names_its_plugins(file: Path, tmp_path: Path):
     (tmp_path / "run" / "run.yaml").write_text(dump_config(config))
     assert load_config(StereoConfig, tmp_path / "run" / "run.yaml") == config  # the files are in use already
     forget()
-    with pytest.raises(ConfigError, match=r"run\.yaml:\d+: plugins: mine\.py is no file in .*; --plugin FILE"):
+    with saying(ConfigError):
         load_config(StereoConfig, tmp_path / "run" / "run.yaml")
     forget()
     text = parse_config("pipeline: local\ncost: wide_census\n", "x")
     assert load_config(StereoConfig, text, ["cost.window=[5,3]", f"plugins=[{file}]"]).plugins == (str(file),)
     (tmp_path / "low.yaml").write_text("plugins: [3]\npipeline: local\n")
-    with pytest.raises(ConfigError, match=r"low\.yaml:1: plugins: expected a list of names .*\(got \[3\]\)"):
+    with saying(ConfigError):
         load_config(StereoConfig, tmp_path / "low.yaml")
 
 
@@ -383,9 +380,9 @@ def test_a_file_of_a_family_holds_one_class(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.syspath_prepend(str(tmp_path))
     importlib.import_module("strange_family")
     family = Family("strange_family")
-    with pytest.raises(TypeError, match=r"both defines A and B; a file of this folder holds one class"):
+    with saying(TypeError):
         family.load("both")
-    with pytest.raises(TypeError, match="defines no class"):
+    with saying(TypeError):
         family.load("none")
     del registries["strange_family"]
 
@@ -393,7 +390,7 @@ def test_a_file_of_a_family_holds_one_class(tmp_path: Path, monkeypatch: pytest.
 def test_a_scheduler_refuses_files(file: Path, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     run = ["stereo", "opencv-bm", "-i", str(scenes), "-o", str(tmp_path / "o"), "--plugin", str(file), "-q"]
     assert main([*run, "--layout", "my-layout", "--scheduler", "tcp://127.0.0.1:9"]) == 2
-    assert "mine.py" in capsys.readouterr().err
+    told(capsys.readouterr().err)
 
 
 BAD = """
@@ -467,4 +464,4 @@ def test_a_layout_that_exits_is_no_success(scenes: Path, tmp_path: Path, capsys:
     (tmp_path / "bad.py").write_text(f"{imports}{body}        raise SystemExit(0)\n")
     run = ["stereo", "opencv-bm", "--plugin", str(tmp_path / "bad.py"), "--layout", "my-layout", "-i", str(scenes)]
     assert main([*run, "-o", str(tmp_path / "run")]) == 2
-    assert "plug-in bad.py" in capsys.readouterr().err
+    told(capsys.readouterr().err)

@@ -20,6 +20,7 @@ from depthcli.device import Device, DeviceError, DeviceInfo, Kernels, Launch, fi
 from depthcli.device.cuda import OPTIONS
 from depthcli.device.dialect import COMMON, CUDA
 from tests.device import nvrtc
+from tests.golden import saying
 
 _LIMIT = 400  # seconds
 
@@ -140,7 +141,7 @@ def test_arrays_go_to_a_device_and_kernels_run_and_are_timed_there():
     device.finish()
     assert device.launches == [Launch("add_one", 0.5, 3)]
     np.testing.assert_array_equal(device.download(there), [2, 4, 6])
-    with pytest.raises(DeviceError, match=r"opencl:0 \(memory\) failed: .*zero"):
+    with saying(DeviceError):
         device.launch(kernels, "fail", (9, 16), (4, 8), there)
 
 
@@ -159,12 +160,12 @@ def test_what_names_mean(two_devices, monkeypatch):
     assert find_device("auto") == GPU
     assert find_device("opencl") == GPU
     assert find_device("opencl:0") == SLOW
-    with pytest.raises(DeviceError, match="there are opencl:0, opencl:1"):
+    with saying(DeviceError):
         find_device("opencl:2")
-    with pytest.raises(DeviceError, match="nothing there"):
+    with saying(DeviceError):
         find_device("cuda")
     for name in ("gpu", "opencl:", "opencl:x", "cuda:-1"):
-        with pytest.raises(ConfigError, match="expected cpu, auto"):
+        with saying(ConfigError):
             find_device(name)
     monkeypatch.setattr(depthcli.device.opencl, "find_devices", lambda: ([SLOW], ""))
     assert find_device("auto") is None  # without a card the processor
@@ -324,7 +325,7 @@ def test_too_little_memory_of_a_card_is_said(card):
 
     device = open_device(kind)
     module.empty = module.tools.MemoryPool.return_value.allocate = full
-    with pytest.raises(DeviceError, match=rf"{kind}:0 \(a card\) has no room"):
+    with saying(DeviceError):
         device.empty((4, 5), np.float32)
 
 
@@ -333,7 +334,7 @@ def test_a_card_that_cannot_be_opened_is_said(card):
     assert find_device(kind) is not None
     module.cuda.Device.return_value.use.side_effect = RuntimeError("lost")
     module.CommandQueue.side_effect = RuntimeError("lost")
-    with pytest.raises(DeviceError, match="failed: lost"):
+    with saying(DeviceError):
         open_device(kind)
 
 
@@ -350,5 +351,5 @@ def test_a_kernel_that_the_compiler_refuses_is_named(card):
     device = open_device(kind)
     for compile_ in (module.Program.return_value.build, module.RawModule):
         compile_.side_effect = RuntimeError("clBuildProgram failed\n<kernel>:1: error: unknown type name 'x'")
-    with pytest.raises(DeviceError, match=r"error: unknown type name|clBuildProgram failed"):
+    with saying(DeviceError):
         device.launch(Kernels("depthcli.device", "benchmarks.cl"), "add_one", (9, 16), (4, 8))

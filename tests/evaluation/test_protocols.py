@@ -21,6 +21,7 @@ from depthcli.io.formats.files import collected_warnings
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.io.stereo_pairs import StereoTruth
+from tests.golden import saying
 from tests.naive import metrics as naive
 from tests.scenes import DATA, needs_data
 
@@ -55,7 +56,7 @@ def random_maps(seed: int, shape: tuple[int, int] = (13, 17)):
 def test_names_and_unknown_names():
     assert {"middlebury-v2", "middlebury-v3", "eth3d", "kitti-2012", "kitti-2015"} <= set(protocols.names())
     assert protocols.load("KITTI-2015") is protocols.load("kitti_2015")
-    with pytest.raises(InputError, match=r"no protocol called 'kitti'; one of: .*kitti-2012, kitti-2015"):
+    with saying(InputError):
         protocols.load("kitti")
 
 
@@ -97,7 +98,7 @@ def test_a_region_without_truth_gives_no_number_and_no_error(name):
 def test_another_size_is_refused(name, tmp_path):
     write_pfm(tmp_path / "m.pfm", np.ones((6, 8), np.float32))
     truth = everywhere(np.ones((6, 9), np.float32))
-    with pytest.raises(InputError, match=r"m\.pfm: the map is 8 x 6, the truth 9 x 6"):
+    with saying(InputError):
         make(name).read(tmp_path / "m.pfm", None, truth)
 
 
@@ -189,7 +190,7 @@ def test_quantiles_are_errors_that_occur():
 
 @pytest.mark.parametrize("shape", [(5, 7), (6, 7), (3, 4), (2, 2), (11, 13)])
 def test_v3_refuses_what_is_no_exact_half_or_quarter(shape):
-    with pytest.raises(ValueError, match="exactly half or a quarter"):
+    with saying(ValueError):
         make("middlebury-v3").resized(np.ones(shape, np.float32), everywhere(np.ones((10, 13), np.float32)))
 
 
@@ -212,7 +213,7 @@ def test_v3_thresholds_are_those_of_the_full_size(tmp_path, name, width, resolut
         assert pick(scores, "totbad", 2.0).value == expected
     here = {1: "totbad 2", 2: "totbad 2 (1)", 4: "totbad 2 (0.5)"}
     assert pick(scores, "totbad", 2.0).metric.heading == here[factor]
-    with pytest.raises(ConfigError, match="expected F, H or Q"):
+    with saying(ConfigError):
         Settings(resolution="X")
 
 

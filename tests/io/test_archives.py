@@ -24,7 +24,8 @@ from depthcli.io.formats.images import write_png
 from depthcli.io.scenes import places
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.io.scenes.places import local, origin
-from tests.command_line import contents, refused, start
+from tests.command_line import contents, start
+from tests.golden import refused
 
 
 @pytest.fixture(autouse=True)
@@ -97,8 +98,8 @@ def test_commands_on_archives_give_the_bytes_of_the_folder(scenes: Path, tmp_pat
 
 
 def test_a_folder_of_archives_names_one(scenes: Path, tmp_path: Path) -> None:
-    archive = _zip(scenes, tmp_path / "scenes.zip")
-    refused(InputError, f"of its archives name one, such as {archive}", discover_scenes, tmp_path, ALL_KINDS)
+    _zip(scenes, tmp_path / "scenes.zip")
+    refused(InputError, discover_scenes, tmp_path, ALL_KINDS)
 
 
 def test_changed_archive_is_unpacked_again(tmp_path: Path, cache: Path) -> None:

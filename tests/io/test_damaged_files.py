@@ -16,7 +16,7 @@ from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.find import ALL_KINDS, chosen_scenes, discover_scenes
 from depthcli.io.scenes.pairs import scenes_of_table
 from tests import damage
-from tests.command_line import refused
+from tests.golden import refused, saying
 
 FILES = {name: data for name, data in damage.originals().items() if not name.endswith((".pfm", ".npy"))}
 ROUNDS = 60
@@ -153,7 +153,7 @@ def test_size_is_limited_before_reading(tmp_path: Path):
         file.truncate(1 << 40)  # sparse
     assert "expected at most" in told(read_bytes, path)
     (tmp_path / "small").write_bytes(bytes(11))
-    with pytest.raises(InputError, match="11 bytes, expected at most 10"):
+    with saying(InputError):
         read_bytes(tmp_path / "small", max_bytes=10)
     assert len(read_bytes(tmp_path / "small", max_bytes=11)) == 11
     if Path("/proc/self/pagemap").exists():  # a regular file of size 0 that never ends
@@ -170,9 +170,9 @@ def test_calib_txt_with_numbers_too_large(tmp_path: Path, number: str):
     for name in ("im0", "im1"):
         write_png(tmp_path / f"{name}.png", IMAGE)
     (tmp_path / "calib.txt").write_text(f"{CALIB}ndisp={number}\n")
-    refused(InputError, "ndisp", discover_scenes, tmp_path, ALL_KINDS)
+    refused(InputError, discover_scenes, tmp_path, ALL_KINDS)
     (tmp_path / "calib.txt").write_text(f"{CALIB}width={number}\nheight=6\n")
-    refused(InputError, "width", read_geometry, tmp_path / "calib.txt")
+    refused(InputError, read_geometry, tmp_path / "calib.txt")
 
 
 @pytest.mark.parametrize("number", [*HUGE, "-99999999999", "1.5", "nan", "0x10", "1_0"])
@@ -186,7 +186,7 @@ def test_arrays_that_announce_terabytes(tmp_path: Path):
     header = "{'descr': '<f4', 'fortran_order': False, 'shape': (20000, 20000, 10000), }".ljust(117) + "\n"
     path = tmp_path / "a.npy"
     path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + bytes(64))
-    refused(InputError, "file size", map_npy, path)
+    refused(InputError, map_npy, path)
 
 
 def test_names_of_lists_are_unique(tmp_path: Path):
@@ -194,9 +194,9 @@ def test_names_of_lists_are_unique(tmp_path: Path):
     table.write_text("left,right,name\na.png,b.png,2_left\nleft.png,b.png,\nleft.png,c.png,\n")
     assert [pair.name for pair in scenes_of_table(table)] == ["2_left", "2_left_", "3_left"]
     table.write_text("left,right,name\na.png,b.png,same\nleft.png,b.png,\nc.png,c.png,same\n")
-    refused(InputError, "'same'", scenes_of_table, table)
+    refused(InputError, scenes_of_table, table)
     for columns in ("left,right,right", "left,right,LEFT", "left,right,name,name"):
         table.write_text(f"{columns}\na.png,b.png,c,d\n")
-        refused(InputError, "two columns", scenes_of_table, table)
+        refused(InputError, scenes_of_table, table)
     scenes = [StereoScene(name="a", folder=tmp_path / folder, left=tmp_path) for folder in ("x", "y")]
-    refused(InputError, "two scenes are called 'a'", chosen_scenes, scenes, ["*"], tmp_path)
+    refused(InputError, chosen_scenes, scenes, ["*"], tmp_path)

@@ -15,6 +15,7 @@ from depthcli.io.formats.disparity import read_mask, read_plane
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_color8, read_grey, read_image, read_pair, write_png
 from depthcli.problems.inputs import as_color8
+from tests.golden import saying
 
 RNG = np.random.default_rng(0)
 WIDE = RNG.integers(0, 65536, (40, 50, 4)).astype(np.uint16)
@@ -48,17 +49,17 @@ def test_transparency_and_inverse_grey_of_sixteen_bits(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("values", "options", "words"),
+    ("values", "options"),
     [
-        (WIDE, {"photometric": "minisblack", "planarconfig": "contig"}, "4 channels of 16-bit integers"),
-        ((WIDE >> 8).astype(np.uint8), {"photometric": "minisblack", "planarconfig": "contig"}, "4 channels of 8-bit"),
-        ((GREY >> 8).astype(np.float16), {}, "16-bit floating point, expected an image"),
-        (RGB.astype(np.float32), {"photometric": "rgb"}, "3 channels of 32-bit floating point"),
-        (GREY.astype(np.int16), {}, "16-bit signed integers"),
+        (WIDE, {"photometric": "minisblack", "planarconfig": "contig"}),
+        ((WIDE >> 8).astype(np.uint8), {"photometric": "minisblack", "planarconfig": "contig"}),
+        ((GREY >> 8).astype(np.float16), {}),
+        (RGB.astype(np.float32), {"photometric": "rgb"}),
+        (GREY.astype(np.int16), {}),
     ],
 )
-def test_what_is_no_image_is_said_with_what_is_expected(tmp_path: Path, values, options, words):
-    with pytest.raises(InputError, match=rf"a\.tif: .*{words}.*; expected|a\.tif: .*{words}"):
+def test_what_is_no_image_is_said_with_what_is_expected(tmp_path: Path, values, options):
+    with saying(InputError):
         read_image(stored(tmp_path, values, **options))
 
 
@@ -75,7 +76,7 @@ def test_maps_of_every_kind_of_number(tmp_path: Path, dtype, compression):
 
 
 def test_maps_of_several_channels_are_refused(tmp_path: Path):
-    with pytest.raises(InputError, match=r"a\.tif: 3 channels of 32-bit floating point; expected a map of one"):
+    with saying(InputError):
         read_plane(stored(tmp_path, RGB.astype(np.float32), photometric="rgb"))
 
 
@@ -121,9 +122,9 @@ def test_the_rest_of_a_file_of_several_images_is_refused_or_named(tmp_path: Path
     grey = (GREY >> 8).astype(np.uint8)
     pages = stored(tmp_path, np.stack([grey] * 3), photometric="minisblack")
     for read in (read_image, read_grey, read_plane):
-        with pytest.raises(InputError, match=r"a\.tif: 3 pages"):
+        with saying(InputError):
             read(pages)
-    with pytest.raises(InputError, match=r"a\.tif: 3 pages"):
+    with saying(InputError):
         read_plane(stored(tmp_path, np.stack([grey] * 3).astype(np.float32), photometric="minisblack"))
     with tifffile.TiffWriter(tmp_path / "b.tif") as file:  # a pyramid has one image
         file.write(grey, photometric="minisblack")
@@ -131,13 +132,13 @@ def test_the_rest_of_a_file_of_several_images_is_refused_or_named(tmp_path: Path
     np.testing.assert_array_equal(read_image(tmp_path / "b.tif"), grey)
     frames = [PIL.Image.fromarray(np.roll(grey, k)) for k in range(3)]
     frames[0].save(tmp_path / "a.png", save_all=True, append_images=frames[1:])
-    with pytest.raises(InputError, match=r"a\.png: an animation of 3 frames"):
+    with saying(InputError):
         read_image(tmp_path / "a.png")
     for kind in ("GIF", "WEBP"):
         file = BytesIO()
         frames[0].save(file, kind, save_all=True, append_images=frames[1:])
         (tmp_path / "g.png").write_bytes(file.getvalue())
-        with pytest.raises(InputError, match=r"g\.png: not a PNG"):
+        with saying(InputError):
             read_image(tmp_path / "g.png")
     frames[0].save(tmp_path / "m.jpg", "MPO", save_all=True, append_images=frames[1:])
     (tmp_path / "n.pgm").write_bytes(2 * (b"P5 2 1 255\n" + bytes([7, 9])))
@@ -151,11 +152,11 @@ def test_codes_of_which_zero_is_white_are_refused(tmp_path: Path):
     for values in (GREY > 30000, GREY):
         path = stored(tmp_path, values, photometric="miniswhite")
         for read in (read_grey, read_mask):
-            with pytest.raises(InputError, match=r"a\.tif: .*0 is white"):
+            with saying(InputError):
                 read(path)
 
 
 def test_big_tiff_in_either_order(tmp_path: Path):
     np.testing.assert_array_equal(read_image(stored(tmp_path, RGB, photometric="rgb", bigtiff=True)), RGB)
-    with pytest.raises(InputError, match=r"a\.tif: a BigTIFF in big-endian"):
+    with saying(InputError):
         read_image(stored(tmp_path, RGB, photometric="rgb", bigtiff=True, byteorder=">"))

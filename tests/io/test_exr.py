@@ -11,7 +11,7 @@ from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import image_size, read_image
-from tests.command_line import refused
+from tests.golden import refused
 
 OpenEXR = pytest.importorskip("OpenEXR")
 
@@ -42,10 +42,10 @@ def test_the_channels_that_are_left_out_are_named_and_guesses_refused(tmp_path: 
         path = stored(tmp_path, R=VALUES, G=VALUES + 1, B=VALUES + 2, Z=VALUES + 3)
         np.testing.assert_array_equal(read_plane(path), VALUES + 3)
     assert "a.exr: its channel 'Z' is read" in lines[0] and "G" in lines[0]
-    refused(InputError, r"a\.exr: .*channels B, G, R", read_plane, stored(tmp_path, R=VALUES, G=VALUES + 1, B=VALUES))
-    refused(InputError, r"a\.exr: a map of numbers \(exr\)", read_image, path)
+    refused(InputError, read_plane, stored(tmp_path, R=VALUES, G=VALUES + 1, B=VALUES))
+    refused(InputError, read_image, path)
     path.write_bytes(path.read_bytes()[:200])
-    refused(InputError, r"a\.exr: damaged EXR", read_plane, path)
+    refused(InputError, read_plane, path)
 
 
 def test_the_background_of_a_renderer_is_no_depth(tmp_path: Path):
@@ -66,4 +66,4 @@ def test_without_the_library_the_extra_is_named(tmp_path: Path, monkeypatch: pyt
         return real(name, *arguments, **options)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    refused(InputError, r"a\.exr: .*depthcli\[exr\]", read_plane, path)
+    refused(InputError, read_plane, path)

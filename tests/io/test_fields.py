@@ -14,7 +14,7 @@ from depthcli.core.volumes import Grid, Volume
 from depthcli.io.formats.fields import in_millimeters, read_field, read_landmarks, read_moving_transform, read_transform
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.volumes import itk_image, write_array
-from tests.command_line import refused
+from tests.golden import refused, saying
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -120,10 +120,10 @@ def test_auto_refuses_what_another_reading_explains_better(tmp_path):
     fixed, moving = volumes()
     wrong = tmp_path / "field.nii"
     nifti(wrong, displacement() * RAS)  # NiftyReg's numbers under ANTs' header
-    refused(InputError, r"--field niftyreg", read_moving_transform, None, wrong, "auto", fixed, moving)
+    refused(InputError, read_moving_transform, None, wrong, "auto", fixed, moving)
     same(read_moving_transform(None, wrong, "niftyreg", fixed, moving), known_warp(), 1e-3)
     nifti(wrong, in_voxels())  # voxels under a header that says mm
-    refused(InputError, r"--field voxels", read_moving_transform, None, wrong, "auto", fixed, moving)
+    refused(InputError, read_moving_transform, None, wrong, "auto", fixed, moving)
 
 
 def check(file, expected):
@@ -198,7 +198,7 @@ def test_elastix_chain_of_affine_and_spline(tmp_path):
 def test_elastix_chain_that_comes_back(tmp_path):
     file = tmp_path / "t.txt"
     elastix(file, "TranslationTransform", [1.0, 2.0, 3.0], "t.txt")
-    with pytest.raises(InputError, match="comes back"):
+    with saying(InputError):
         read_moving_transform(file, None, "auto", Volume(np.zeros(GRID.shape, np.float32), GRID), None)
 
 
@@ -220,7 +220,7 @@ def test_displacements_that_are_no_numbers_blame_their_file(tmp_path, kind):
     else:
         nifti(path, values, dims=4 if kind == "voxels.nii" else 5)
     fixed, moving = volumes()
-    with pytest.raises(InputError, match=rf"{kind}: {1 + 20 * 18} of 5760 displacements are no numbers"):
+    with saying(InputError):
         read_moving_transform(None, path, "auto", fixed, moving)
 
 
@@ -267,11 +267,11 @@ def test_a_field_that_does_not_belong_to_the_volumes_is_said():
     away = [replace(GRID, origin=(GRID.origin[0] + mm, *GRID.origin[1:])) for mm in (-8.0, 500.0)]
     assert not lines_about(displacement(), GRID)
     assert "outside the field" in lines_about(displacement(), away[0])[0]
-    refused(InputError, r"field.mha: the whole fixed volume", lines_about, displacement(), away[1])
+    refused(InputError, lines_about, displacement(), away[1])
     assert "unit mm" in lines_about(displacement() / 1000, GRID)[0]
     wild = np.random.default_rng(0).uniform(-8, 8, displacement().shape)
     assert "left out" in lines_about(wild, GRID)[0]
-    refused(InputError, r"field.mha: .* no point", lines_about, displacement() + 500, GRID)
+    refused(InputError, lines_about, displacement() + 500, GRID)
 
 
 def test_landmarks_in_every_unit(tmp_path):
@@ -295,22 +295,19 @@ def test_control_points_of_niftyreg(tmp_path, order, kind):
     for convention in ("auto", "niftyreg"):
         found = read_moving_transform(None, tmp_path / "cpp.nii", convention, fixed, None)
         same(found, SimpleITK.BSplineTransform(parts, order), 1e-4)
-    refused(
-        InputError, "control points of NiftyReg", read_moving_transform, None, tmp_path / "cpp.nii", "itk", fixed, None
-    )
+    refused(InputError, read_moving_transform, None, tmp_path / "cpp.nii", "itk", fixed, None)
 
 
 @pytest.mark.parametrize("kind", [3.0, 4.0, 5.0, 7.0, 0.4])
 def test_velocities_and_unknown_kinds_of_niftyreg_are_refused(tmp_path, kind):
     nifti(tmp_path / "f.nii", displacement(), b"NREG_TRANS", kind)
-    said = rf"f\.nii: NiftyReg's .*intent_p1 = {kind:g}"
-    refused(InputError, said, read_field, tmp_path / "f.nii", GRID)
+    refused(InputError, read_field, tmp_path / "f.nii", GRID)
 
 
 def test_positions_without_a_name_are_found_and_can_be_said(tmp_path):
     moving, fixed = volumes()
     nifti(tmp_path / "y_f.nii", positions())
-    refused(InputError, "--field positions", read_moving_transform, None, tmp_path / "y_f.nii", "auto", fixed, moving)
+    refused(InputError, read_moving_transform, None, tmp_path / "y_f.nii", "auto", fixed, moving)
     same(read_moving_transform(None, tmp_path / "y_f.nii", "positions", fixed, moving), known_warp(), 1e-3)
 
 
@@ -328,6 +325,6 @@ def test_elastix_without_direction_cosines(tmp_path):
         expected = turned.to_point(moved[None, ::-1])[0]
         (point,) = GRID.to_point(np.array([index]))
         np.testing.assert_allclose(transform.TransformPoint(point.tolist()), expected, atol=1e-9)
-    refused(InputError, "UseDirectionCosines", read_moving_transform, file, None, "auto", fixed, None)
+    refused(InputError, read_moving_transform, file, None, "auto", fixed, None)
     cyclic = elastix(tmp_path / "c.txt", "AffineTransform", parameters, UseCyclicTransform='"true"')
-    refused(InputError, "UseCyclicTransform", read_moving_transform, cyclic, None, "auto", fixed, moving)
+    refused(InputError, read_moving_transform, cyclic, None, "auto", fixed, moving)

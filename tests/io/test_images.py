@@ -19,7 +19,7 @@ from depthcli.io.formats.disparity import read_status, write_codes, write_pfm, w
 from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, collected_warnings, write_text
 from depthcli.io.formats.images import bits_said, image_size, read_grey, read_image, read_pair, write_png
 from depthcli.show.view import DEPTH_STATUS_PALETTE, MEASURED_CODE, STATUS_PALETTE, status_colors, status_words
-from tests.command_line import refused
+from tests.golden import refused, saying
 
 
 def png(width: int, height: int, depth: int, color: int, rows: bytes, *extra: tuple[bytes, bytes]) -> bytes:
@@ -98,7 +98,7 @@ def test_netpbm_plain_comments_and_big_endian(tmp_path: Path):
     for broken in (b"P5\n2 2\n255\nabc", b"P5\n0 2\n255\n", b"P5\n2 2\n99999\nabcd", b"P5 2", b"P2\n1 1\n9\nx",
                    b"P4\n1 1\n\0"):  # fmt: skip
         path.write_bytes(broken)
-        refused(InputError, r"a\.pgm", read_image, path)
+        refused(InputError, read_image, path)
 
 
 def test_equal_channels_are_one_channel_of_codes(tmp_path: Path):
@@ -106,7 +106,7 @@ def test_equal_channels_are_one_channel_of_codes(tmp_path: Path):
     write_png(tmp_path / "a.png", np.dstack([array] * 3))
     np.testing.assert_array_equal(read_grey(tmp_path / "a.png"), array)
     write_png(tmp_path / "a.png", np.dstack([array, array, array + np.uint8(1)]))
-    refused(InputError, "colour", read_grey, tmp_path / "a.png")
+    refused(InputError, read_grey, tmp_path / "a.png")
 
 
 def test_what_is_no_image_is_said_in_one_line(tmp_path: Path):
@@ -158,7 +158,7 @@ def test_bombs_are_refused_by_their_header(tmp_path: Path, name):
     path = tmp_path / "a.png"
     path.write_bytes(bombs[name]())
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    refused(InputError, r"claims 60000 x 60000|too large|tiles of 60000|truncated", read_image, path)
+    refused(InputError, read_image, path)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB
 
 
@@ -168,8 +168,8 @@ def test_memory_that_may_be_used_is_compared_with_the_header(tmp_path: Path, mon
     monkeypatch.setattr(images, "_MAX_DECODED_BYTES", 120_000)
     assert read_image(path).shape == (100, 200, 3)
     monkeypatch.setattr(images, "_MAX_DECODED_BYTES", 119_999)
-    refused(InputError, "200 x 100 pixels", read_image, path)
-    refused(InputError, "too large", read_pair, path, path)
+    refused(InputError, read_image, path)
+    refused(InputError, read_pair, path, path)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".ppm", ".tiff", ".bmp", ".pfm", ".npy"])
@@ -200,7 +200,7 @@ def test_samples_of_ten_and_twelve_bits(tmp_path: Path):
     assert read_pair(right, right).bits == 14
     assert read_pair(left, right).bits == 10  # the files disagree: what is found counts
     write_png(tmp_path / "c.png", np.zeros((1, 3, 3), np.uint16))
-    with pytest.raises(InputError, match=r"c\.png: 3 x 1 colour uint16, but l\.pgm is 2 x 1 grey uint16"):
+    with saying(InputError):
         read_pair(left, tmp_path / "c.png")
 
 
@@ -247,12 +247,12 @@ def test_atomic_write_keeps_the_old_file_on_failure(tmp_path: Path):
         fail()
     assert path.read_text() == "old"
     assert [p.name for p in path.parent.iterdir()] == ["a.txt"]
-    refused(OutputError, r"a\.txt", write_text, path / "below", "x")
+    refused(OutputError, write_text, path / "below", "x")
 
 
 def test_write_png_refuses_what_png_cannot_hold(tmp_path: Path):
     for array in (np.zeros((2, 2), np.float32), np.zeros((2, 2, 4), np.uint8), np.zeros(3, np.uint8)):
-        with pytest.raises(ValueError, match="uint8"):
+        with saying(ValueError):
             write_png(tmp_path / "a.png", array)
     write_png(tmp_path / "a.png", np.array([[True, False]]))
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), [[255, 0]])
@@ -273,7 +273,7 @@ def test_every_reader_gives_the_codes_of_a_status_map(tmp_path: Path):
     status = read_status(tmp_path / "status.png")
     np.testing.assert_array_equal(status, codes)
     np.testing.assert_array_equal(status.measured, codes == 0)
-    with pytest.raises(ValueError, match="uint8"):
+    with saying(ValueError):
         write_status(tmp_path / "status.png", codes.astype(int))
 
 
@@ -288,7 +288,7 @@ def test_status_maps_of_earlier_versions_are_read(tmp_path: Path):
     (tmp_path / "cut.png").write_bytes((tmp_path / "s.png").read_bytes()[:-9])
     cv2.imwrite(str(tmp_path / "a.jpg"), np.zeros((8, 8), np.uint8))
     for name in ("color.png", "cut.png", "a.jpg"):
-        refused(InputError, name, read_status, tmp_path / name)
+        refused(InputError, read_status, tmp_path / name)
 
 
 @PALETTES

@@ -13,7 +13,7 @@ from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.scenes.volumes import VOLUMES
-from tests.command_line import refused
+from tests.golden import refused
 from tests.scenes import DATA, load, needs_data, true
 
 GREY = np.arange(48, dtype=np.uint8).reshape(6, 8)
@@ -85,7 +85,7 @@ def test_single_view_with_truth_is_a_scene_without_a_pair(tmp_path: Path):
     (own(tmp_path / "a") / "right.png").unlink()
     (scene,) = find(tmp_path)
     assert scene.right is None
-    refused(InputError, "no right image", load, scene)
+    refused(InputError, load, scene)
 
 
 def test_the_protocol_is_said_never_guessed(tmp_path: Path):
@@ -107,8 +107,8 @@ def test_half_a_pair_is_an_item_with_a_problem(tmp_path: Path):
     (tmp_path / "a" / "disp_left.png").unlink()
     v3(tmp_path / "c", "ndisp=3")
     (tmp_path / "c" / "im1.png").unlink()
-    for scene, side in zip(find(tmp_path), ("no right", "no left", "no im1"), strict=True):
-        refused(InputError, f"only one image of the pair, {side}", load, scene)
+    for scene in find(tmp_path):
+        refused(InputError, load, scene)
 
 
 def test_a_folder_named_as_an_image_is_none(tmp_path: Path):
@@ -146,7 +146,7 @@ def test_several_patterns(tmp_path: Path):
     for name in ("a", "b", "c"):
         own(tmp_path / name)
     assert [s.name for s in discover_scenes(tmp_path, PAIRS, None, ["c", "a"])] == ["a", "c"]
-    refused(InputError, "no scene matches 'x'", discover_scenes, tmp_path, PAIRS, None, ["a", "x"])
+    refused(InputError, discover_scenes, tmp_path, PAIRS, None, ["a", "x"])
 
 
 def test_listing_opens_no_image(tmp_path: Path):
@@ -155,7 +155,7 @@ def test_listing_opens_no_image(tmp_path: Path):
     (tmp_path / "a" / "disp1.png").write_bytes(b"damaged")
     (scene,) = find(tmp_path)
     load(scene)
-    refused(InputError, "disp1", true, scene)
+    refused(InputError, true, scene)
 
 
 def test_every_layout_says_what_it_wants():
@@ -214,42 +214,42 @@ def test_kitti(tmp_path: Path):
     assert len(find(tmp_path, pattern="000001_10")) == 2
 
 
-@pytest.mark.parametrize(("meta", "said"), [
-    ([1], "object"), ({"disp_scale": "4"}, "disp_scale"), ({"disp_scale": 0}, "disp_scale"),
-    ({"max_disparity": -3}, "max_disparity"), ({"max_disparity": 2.5}, "whole"), ({"disp_scale": True}, "disp_scale"),
-    ({"min_disparity": 4, "max_disparity": 4}, "max_disparity: expected a number above 4"),
+@pytest.mark.parametrize("meta", [
+    [1], {"disp_scale": "4"}, {"disp_scale": 0},
+    {"max_disparity": -3}, {"max_disparity": 2.5}, {"disp_scale": True},
+    {"min_disparity": 4, "max_disparity": 4},
 ])  # fmt: skip
-def test_broken_meta(tmp_path: Path, meta, said):
+def test_broken_meta(tmp_path: Path, meta):
     own(tmp_path / "a", meta)
-    refused(InputError, rf"meta\.json: .*{said}", find, tmp_path / "a")
+    refused(InputError, find, tmp_path / "a")
     (tmp_path / "a" / "meta.json").write_bytes(b"{\xff")
-    refused(InputError, "not valid JSON", find, tmp_path / "a")
+    refused(InputError, find, tmp_path / "a")
 
 
-@pytest.mark.parametrize(("labels", "said"), [
-    ('{"liver": 1, "lung": 1}', "two regions have one label"), ('{"=": 1}', "expected a name without"),
-    ('{"liver": 1.5}', "expected the regions of each mask"),
+@pytest.mark.parametrize("labels", [
+    '{"liver": 1, "lung": 1}', '{"=": 1}',
+    '{"liver": 1.5}',
 ])  # fmt: skip
-def test_broken_names_of_labels(tmp_path: Path, labels: str, said: str):
+def test_broken_names_of_labels(tmp_path: Path, labels: str):
     for name in ("fixed.mha", "warped.mha", "mask_organs.mha"):
         (tmp_path / name).write_text("")
     (tmp_path / "meta.json").write_text(f'{{"labels": {{"organs": {labels}}}}}')
-    refused(InputError, rf"meta\.json: labels: {said}", discover_scenes, tmp_path, VOLUMES)
+    refused(InputError, discover_scenes, tmp_path, VOLUMES)
 
 
 def test_what_is_said_where_nothing_fits(tmp_path: Path):
-    refused(InputError, "no such folder", find, tmp_path / "absent")
-    refused(InputError, r"no scenes found.*kitti-2015.*scenes", find, tmp_path)
-    refused(InputError, r"no scenes found.*looked for kitti-2015: image_2, image_3", find, tmp_path, "kitti-2015")
+    refused(InputError, find, tmp_path / "absent")
+    refused(InputError, find, tmp_path)
+    refused(InputError, find, tmp_path, "kitti-2015")
     own(tmp_path / "a")
-    refused(InputError, r"no scene matches 'x\*'; there are: a", find, tmp_path, pattern="x*")
-    refused(InputError, r"one of: .*eth3d", find, tmp_path, "foo")
-    refused(InputError, "looked for eth3d", find, tmp_path, "eth3d")
+    refused(InputError, find, tmp_path, pattern="x*")
+    refused(InputError, find, tmp_path, "foo")
+    refused(InputError, find, tmp_path, "eth3d")
     v3(tmp_path / "a", "ndisp=3")
-    refused(InputError, "middlebury-v3 and scenes; say which", find, tmp_path / "a")
+    refused(InputError, find, tmp_path / "a")
     assert len(find(tmp_path, "scenes")) == 1
     write_png(tmp_path / "a" / "left.jpg", GREY)
-    refused(InputError, r"both left\.jpg and left\.png", find, tmp_path / "a", "scenes")
+    refused(InputError, find, tmp_path / "a", "scenes")
 
 
 def test_sizes_must_agree(tmp_path: Path):
@@ -257,8 +257,8 @@ def test_sizes_must_agree(tmp_path: Path):
     write_png(folder / "right.png", COLOR[:5])
     write_png(folder / "mask_nonocc.png", GREY[:5])
     (scene,) = find(tmp_path)
-    refused(InputError, "8 x 5", load, scene)
-    refused(InputError, r"mask_nonocc\.png: 8 x 5", true, scene)
+    refused(InputError, load, scene)
+    refused(InputError, true, scene)
 
 
 @pytest.mark.slow
@@ -293,11 +293,11 @@ def test_layouts_of_a_users_file(tmp_path: Path):
     assert (first.name, first.layout, first.max_disparity, second.has_truth) == ("7", "mine", 5, False)
     np.testing.assert_array_equal(true(first).disparity, TRUTH)
     rows.write_text("mine: {left: 'cam/a_{id}.*', rihgt: x}")
-    refused(ConfigError, r"mine\.yaml: mine: no field is called 'rihgt'", find, tmp_path / "set", str(rows))
+    refused(ConfigError, find, tmp_path / "set", str(rows))
     rows.write_text("mine: {left: 'cam/a_{id}.*', right: 'other/b_{id}.*', max_disparity: far}")
-    refused(ConfigError, "mine: max_disparity: .*integer", find, tmp_path / "set", str(rows))
+    refused(ConfigError, find, tmp_path / "set", str(rows))
     rows.write_text("mine: {left: 'cam/a_{id}.*', masks: 'other/b_{id}.*'}")
-    refused(ConfigError, r"mine: masks: .*\{mask\}.*mask\.NAME", find, tmp_path / "set", str(rows))
+    refused(ConfigError, find, tmp_path / "set", str(rows))
     rows.write_text("mine: {left: 'cam/a_{id}.*', right: 'other/b_{id}.*', mask.glass: 'gt/{id}.*'}")
     write_png(tmp_path / "set" / "gt" / "8.png", COLOR)
     assert [list(each.masks) for each in find(tmp_path / "set", str(rows))] == [[], ["glass"]]

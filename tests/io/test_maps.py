@@ -33,7 +33,7 @@ from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.rgbd_frames import read_kinect_raw
 from depthcli.problems.inputs import as_depth, as_image, as_map, as_volume
-from tests.command_line import refused
+from tests.golden import refused, saying
 from tests.scenes import DATA, needs_data
 
 maps = hnp.arrays(np.float32, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.floats(width=32))
@@ -97,7 +97,7 @@ def test_disparities_wider_than_the_image_are_warned_of(tmp_path: Path, factor: 
 ])  # fmt: skip
 def test_bad_pfm(tmp_path: Path, data):
     (tmp_path / "bad.pfm").write_bytes(data)
-    refused(InputError, r"bad\.pfm", read_disparity, tmp_path / "bad.pfm")
+    refused(InputError, read_disparity, tmp_path / "bad.pfm")
 
 
 def test_codes_are_divided_by_their_scale(tmp_path: Path):
@@ -105,12 +105,13 @@ def test_codes_are_divided_by_their_scale(tmp_path: Path):
     write_png(path, np.array([[0, 40, 255]], np.uint8))
     np.testing.assert_array_equal(read_disparity(path, 4), np.array([[np.nan, 10, 63.75]], np.float32))
     np.testing.assert_array_equal(read_disparity(path, scale_8bit=8), np.array([[np.nan, 5, 31.875]], np.float32))
-    refused(InputError, "disp_scale", read_disparity, path)
+    refused(InputError, read_disparity, path)
     write_png(path, np.array([[0, 256, 640]], np.uint16))
     np.testing.assert_array_equal(read_disparity(path, scale_8bit=8), np.array([[np.nan, 1, 2.5]], np.float32))
     assert read_image(path).dtype == np.uint16
+    write_png(path, np.tile(np.array([[0, 256, 640]], np.uint16), 20))  # wider than 40 px, OpenCV's reading
     for read in (read_foreign_map, partial(read_disparity, asks=True)):
-        refused(ScaleError, r"a\.png: uint16 .*--scale 256.*--scale 16", read, path)
+        refused(ScaleError, read, path)
     for known in (path, tmp_path / "disp_0" / "a.png"):
         write_png(known, np.array([[0, 256, 640]], np.uint16))
         np.testing.assert_array_equal(read_foreign_map(known, is_kitti=known == path), [[np.nan, 1, 2.5]])
@@ -119,7 +120,7 @@ def test_codes_are_divided_by_their_scale(tmp_path: Path):
 @pytest.mark.parametrize("dtype", ["i4", "u4", "i8", "u1", "i1", "?"])
 def test_integers_without_a_usual_scale_are_asked_for(tmp_path: Path, dtype):
     np.save(tmp_path / "a.npy", np.full((4, 5), 3).astype(dtype))
-    refused(InputError, r"a\.npy: .*(--scale|expected disparities)", read_disparity, tmp_path / "a.npy")
+    refused(InputError, read_disparity, tmp_path / "a.npy")
     if dtype != "?":
         np.testing.assert_array_equal(read_disparity(tmp_path / "a.npy", 1), np.full((4, 5), 3, np.float32))
 
@@ -195,7 +196,7 @@ def test_masked_arrays_keep_their_mask():
         for read in (as_map, lambda each, name: as_depth(each, name, 1000.0)):
             found = read(one, "map")
             assert np.isnan(found[0]).all() and not np.isnan(found[1:]).any()
-    refused(InputError, "image: a masked array", as_image, np.ma.masked_less(np.arange(20).reshape(4, 5), 6), "image")
+    refused(InputError, as_image, np.ma.masked_less(np.arange(20).reshape(4, 5), 6), "image")
     assert np.isnan(as_volume(np.ma.masked_less(np.ones((2, 3, 4)), 2), "volume")).all()
 
 
@@ -219,7 +220,7 @@ def test_npy(tmp_path: Path):
     np.testing.assert_array_equal(read_disparity(path, 16), np.array([[np.nan, np.nan, 1.5]], np.float32))
     for bad in (np.zeros(3), np.array([["a"]]), np.zeros((0, 3)), np.array([[{}]], object)):
         np.save(path, bad, allow_pickle=True)
-        refused(InputError, r"a\.npy", read_disparity, path)
+        refused(InputError, read_disparity, path)
 
 
 def _float_tiff(values: np.ndarray, order: str, deflated: bool, rows: int) -> bytes:
@@ -273,12 +274,12 @@ def test_npz_files(tmp_path: Path):
     np.savez(tmp_path / "unnamed.npz", x=values, y=values)
     for name in ("one", "named"):
         np.testing.assert_array_equal(read_disparity(tmp_path / f"{name}.npz"), values)
-    with pytest.raises(InputError, match=r"an .npz file of 2 arrays \(x, y\); expected one"):
+    with saying(InputError):
         read_disparity(tmp_path / "unnamed.npz")
     whole = (tmp_path / "one.npz").read_bytes()
     for n_bytes in (10, len(whole) // 2, len(whole) - 3):
         (tmp_path / "cut.npz").write_bytes(whole[:n_bytes])
-        refused(InputError, r"cut\.npz: damaged", read_disparity, tmp_path / "cut.npz")
+        refused(InputError, read_disparity, tmp_path / "cut.npz")
 
 
 def test_codes_of_depth_are_divided_by_their_scale(tmp_path: Path):
@@ -288,7 +289,7 @@ def test_codes_of_depth_are_divided_by_their_scale(tmp_path: Path):
     np.testing.assert_array_equal(read_depth(path, 5000), np.array([[np.nan, 0.0002, 0.3, 13.1068]], np.float32))
     write_png(path, np.array([[0, 100]], np.uint8))
     np.testing.assert_array_equal(read_depth(path, 50), np.array([[np.nan, 2]], np.float32))
-    refused(InputError, r"depth\.png: 8-bit depth needs a scale", read_depth, path)
+    refused(InputError, read_depth, path)
 
 
 @pytest.mark.parametrize(
@@ -318,7 +319,7 @@ def test_rotated_codes_and_what_are_none(tmp_path: Path):
     np.testing.assert_array_equal(read_depth(tmp_path / "sun.png", rotate=3)[0, 1:], codes[0, 1:] / np.float32(1000))
     for bad in (np.array([[-1]]), np.array([[70000]]), np.array([[1.5]])):
         np.save(tmp_path / "bad.npy", bad)
-        refused(InputError, r"bad\.npy: expected codes", read_kinect_raw, tmp_path / "bad.npy")
+        refused(InputError, read_kinect_raw, tmp_path / "bad.npy")
 
 
 def test_meters(tmp_path: Path):
@@ -372,7 +373,7 @@ def test_raw_codes_of_a_kinect_are_no_millimeters(tmp_path: Path):
     write_png(tmp_path / "d.png", codes)
     np.save(tmp_path / "d.npy", codes.astype(np.int32))
     for name in ("d.png", "d.npy"):
-        refused(InputError, rf"{name}: 15 % .* 2047, .*kinect-raw.*--depth-scale", read_depth, tmp_path / name)
+        refused(InputError, read_depth, tmp_path / name)
         assert read_depth(tmp_path / name, 1000)[0, 0] == np.float32(2.047)
     codes[5, 5] = 2048  # not the largest code
     write_png(tmp_path / "d.png", codes)

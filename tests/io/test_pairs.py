@@ -17,7 +17,8 @@ from depthcli.io.scenes.find import discover_scenes, named_scenes
 from depthcli.io.scenes.frames import FRAMES
 from depthcli.io.scenes.pairs import PAIRS, pairs_of_patterns, scenes_of_table
 from depthcli.io.stereo_pairs import load_views
-from tests.command_line import refused, run
+from tests.command_line import run
+from tests.golden import refused, told
 from tests.scenes import load
 
 IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)
@@ -68,8 +69,8 @@ def test_names_that_say_the_view(tmp_path: Path):
     }  # fmt: skip
     put(tmp_path / "x", "cat.png")
     put(tmp_path / "y", "dog.png")
-    refused(ConfigError, "no two names belong together", pairs_of_patterns, tmp_path / "x", tmp_path / "y")
-    refused(ConfigError, "matches no image", pairs_of_patterns, tmp_path / "x/*.jpg", tmp_path / "y")
+    refused(ConfigError, pairs_of_patterns, tmp_path / "x", tmp_path / "y")
+    refused(ConfigError, pairs_of_patterns, tmp_path / "x/*.jpg", tmp_path / "y")
     put(tmp_path / "x", "1.png", "2.png", "2.jpg")
     put(tmp_path / "y", "1.png", "2.png")
     assert named(tmp_path / "x", tmp_path / "y")["2"] == (None, "2.png")  # no pair is made up
@@ -89,13 +90,9 @@ def test_tables(tmp_path: Path):
     assert (two.name, two.max_disparity, two.calibration) == ("two", None, None)
     table.write_text("a.png,b.png\na.png,c.png\n")
     assert [p.name for p in scenes_of_table(table)] == ["1_a", "2_a"]
-    for text, said in (
-        ("left,right,depht\na,b,c\n", "no such column: depht"), ("a.png\n", "pair 1: expected left, right"),
-        ("", "no pair"),
-        ("left,right,name\na,b,x\nc,d,x\n", "two lines are called 'x'"),
-    ):  # fmt: skip
+    for text in ("left,right,depht\na,b,c\n", "a.png\n", "", "left,right,name\na,b,x\nc,d,x\n"):
         table.write_text(text)
-        refused(InputError, said, scenes_of_table, table)
+        refused(InputError, scenes_of_table, table)
 
 
 def video(path: Path, shift: int, count: int = 5, rate: float = 10) -> Path:
@@ -129,14 +126,14 @@ def test_videos(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert one.read_bytes() == other.read_bytes()
     (tmp_path / "bad.avi").write_bytes(left.read_bytes()[:90])
     assert run("stereo", "opencv-bm", "--left", tmp_path / "bad.avi", "--right", right, "-o", tmp_path / "x") == 2
-    assert "bad.avi: no video that can be decoded here" in capsys.readouterr().err
+    told(capsys.readouterr().err)
 
 
 @pytest.mark.parametrize(("rate", "is_refused"), [(29.97, False), (30, False), (15, True), (25, True)])
 def test_videos_of_two_rates_are_refused(tmp_path: Path, rate: float, is_refused: bool):
     files = {"left": video(tmp_path / "l.avi", 0, rate=30), "right": video(tmp_path / "r.avi", 6, rate=rate)}
     if is_refused:
-        refused(ConfigError, rf"l.avi has 30 frames a second, .*r.avi {rate:g}", named_scenes, StereoScene, files)
+        refused(ConfigError, named_scenes, StereoScene, files)
     else:
         assert [scene.warnings for scene in named_scenes(StereoScene, files)] == [()] * 5
 
@@ -204,7 +201,7 @@ def test_both_views_in_one_file(tmp_path: Path, halves: str, capsys: pytest.Capt
             assert run(*line, "--left", both, *wrong, "-o", tmp_path / "r") == 2
         write_png(both, np.zeros((41, 81), np.uint8))
         assert run(*line, "--left", both, *how, "-o", tmp_path / "r") == 3
-        assert "81 x 41 pixels cannot be two views" in capsys.readouterr().err
+        told(capsys.readouterr().err)
 
 
 def find(folder: Path) -> dict[str, StereoScene]:
@@ -248,7 +245,7 @@ def test_what_a_run_or_a_scene_holds_are_no_pairs(tmp_path: Path):
     put(tmp_path / "a", *(f"{start}{view}.png" for start in ("", "mask_all_", "disp_") for view in ("left", "right")))
     assert [scene.layout for scene in find(tmp_path / "a").values()] == ["scenes"]
     put(tmp_path / "b", "disp_left.png", "disp_right.png")
-    refused(InputError, "no scenes found", find, tmp_path / "b")
+    refused(InputError, find, tmp_path / "b")
 
 
 @pytest.mark.slow
@@ -269,7 +266,7 @@ def test_the_command_line(tmp_path: Path, made_scenes: Path, capsys):
         for file in ("planes_0/disp_left.pfm", "planes_1/disp_left.pfm"):
             assert (tmp_path / name / file).read_bytes() == (tmp_path / "scenes" / file).read_bytes()
     assert run("stereo", "opencv-bm", *globs, *how, "-o", tmp_path / "x", "--name", "a") == 2
-    assert "these are 2" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert run("stereo", "opencv-bm", *globs, *how, "-o", tmp_path / "x", "--scenes", "absent*") == 2
     assert run("stereo", "opencv-bm", "-i", tmp_path / "pairs.csv", *how, "-o", tmp_path / "x", "--evaluate") == 2
     assert run("stereo", "opencv-bm", "-i", "-", *how, "-o", tmp_path / "x", "--evaluate") == 2
@@ -297,4 +294,4 @@ def test_patterns_are_suggested_where_no_layout_fits(tmp_path: Path, capsys: pyt
     assert run(*arguments, "--left", left, "--right", right) == 0
     put(tmp_path / "other", "a/1.jpg", "b/x.jpg")
     assert run(*arguments, "-i", tmp_path / "other") == 2
-    assert "--left FILE and --right FILE" in capsys.readouterr().err
+    told(capsys.readouterr().err)

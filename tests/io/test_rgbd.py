@@ -36,8 +36,9 @@ from depthcli.io.scenes.pairs import PAIRS
 from depthcli.problems.inputs import load_config
 from depthcli.problems.kinect import RefineKinect
 from depthcli.problems.transparent import Transparent
-from tests.command_line import refused, run
+from tests.command_line import run
 from tests.contracts.layouts import check_layout
+from tests.golden import refused, saying
 from tests.scenes import DATA, load, needs_data, true
 
 COLOR = np.arange(6 * 8 * 3, dtype=np.uint8).reshape(6, 8, 3)
@@ -87,7 +88,7 @@ def test_frames_in_folders_of_color_and_depth(tmp_path: Path):
         ("cup7", "depth_cup7.png", ""), ("cup8", "depth_cup8.png", ""),
     ]  # fmt: skip
     (tmp_path / "a/rgb.txt").touch()
-    with pytest.raises(InputError, match="no scenes"):
+    with saying(InputError):
         discover_scenes(tmp_path / "a", FRAMES)
 
 
@@ -161,7 +162,7 @@ def test_sequences_are_frames_by_number(tmp_path: Path, split: bool):
     assert [(i.name, i.sequence, i.number, bool(i.problem)) for i in scenes] == [
         ("s/00000", "s", 0, False), ("s/00001", "s", 1, True), ("s/00003", "s", 3, False),
     ]  # fmt: skip
-    refused(InputError, "a frame without its color", load, scenes[1])
+    refused(InputError, load, scenes[1])
     assert load(scenes[2]).shape == (6, 8)
 
 
@@ -173,7 +174,7 @@ def test_tum_pairs_by_time(tmp_path: Path):
     (tmp_path / "t" / "depth.txt").write_text("1.019 depth/a.png\n")
     near, far = find(tmp_path)
     assert load(near).depth[1, 0] == pytest.approx(0.4)  # 5000 codes a meter
-    refused(InputError, r"the nearest depth is 0\.021 s off", load, far)
+    refused(InputError, load, far)
     for line in ("2.0 rgb/2.png 2.001 depth/a.png\n", "2.001 depth/a.png 2.0 rgb/2.png\n"):
         (tmp_path / "t" / "associations.txt").write_text(line)
         assert [(i.name, i.problem) for i in find(tmp_path)] == [("t/2.000000", "")]
@@ -199,7 +200,7 @@ def test_names_of_other_layouts_spoil_none(tmp_path: Path):
     assert {scene.depth_scale for scene in find(tmp_path / "tum")} == {5000}
     (tmp_path / "tum" / "meta.json").write_text('{"depth_scale": 1000}')
     assert {scene.depth_scale for scene in find(tmp_path / "tum")} == {1000}
-    refused(InputError, "no scenes found", find, tmp_path / "other")  # as SUN RGB-D, but for intrinsics.txt
+    refused(InputError, find, tmp_path / "other")  # as SUN RGB-D, but for intrinsics.txt
 
 
 @pytest.mark.parametrize("color", ["color", "rgb"])
@@ -282,7 +283,7 @@ def test_depth_alone_is_a_frame_without_color(tmp_path: Path):
     frame = load(scene)
     assert not frame.has_color and (frame.color == 128).all() and frame.shape == DEPTH.shape
     assert frame_size(scene) == DEPTH.shape and set(scene.input_files) == {"depth"}
-    refused(InputError, "no color image", load_sparse_frame, scene)
+    refused(InputError, load_sparse_frame, scene)
 
 
 WIDE, SMALLER = np.zeros((90, 120, 3), np.uint8), np.full((20, 30), 2000, np.uint16)
@@ -290,21 +291,18 @@ DEPTH_CAMERA = {"fx": 20, "fy": 20, "cx": 15, "cy": 10}
 
 
 @pytest.mark.parametrize(
-    ("meta", "said"),
+    "meta",
     [
-        ({"depth_intrinsics": DEPTH_CAMERA}, "want those of the color camera"),
-        (
-            {"depth_intrinsics": {**DEPTH_CAMERA, "fx": 0}},
-            "meta.json: depth_intrinsics: fx: expected a positive number",
-        ),
-        ({"depth_intrinsics": {"fx": 3}}, "meta.json: depth_intrinsics: expected all of fx, fy, cx, cy"),
-        ({"depth_to_color": 3}, "meta.json: depth_to_color: expected rotation and translation"),
-        ({"depth_to_color": {"rotation": np.eye(3).tolist()}}, "meta.json: depth_to_color: translation: expected 3"),
+        {"depth_intrinsics": DEPTH_CAMERA},
+        {"depth_intrinsics": {**DEPTH_CAMERA, "fx": 0}},
+        {"depth_intrinsics": {"fx": 3}},
+        {"depth_to_color": 3},
+        {"depth_to_color": {"rotation": np.eye(3).tolist()}},
     ],
 )
-def test_cameras_of_meta_json_that_cannot_be(tmp_path: Path, meta: dict[str, object], said: str):
+def test_cameras_of_meta_json_that_cannot_be(tmp_path: Path, meta: dict[str, object]):
     write(tmp_path, WIDE, SMALLER, **meta)
-    refused(InputError, said, lambda: load(find(tmp_path)[0]))
+    refused(InputError, lambda: load(find(tmp_path)[0]))
 
 
 def test_triangulation_is_its_own_inverse():
@@ -357,18 +355,16 @@ def test_scannet(tmp_path: Path, names: str):
     np.testing.assert_allclose(frame.depth[8:16, 8:24], 1.5)
     check_layout("scannet", tmp_path)
     (folder / "depth" / "10.png").unlink()
-    refused(InputError, r"10\.jpg: a frame without its depth", load, find(tmp_path)[1])
+    refused(InputError, load, find(tmp_path)[1])
 
 
-@pytest.mark.parametrize(
-    ("text", "said"), [("1 2 3", "4 x 4"), ("a", "finite numbers"), (_MATRIX.format(-1, 2, 3), "4 x 4")]
-)
-def test_broken_cameras_of_scannet(tmp_path: Path, text: str, said: str):
+@pytest.mark.parametrize("text", ["1 2 3", "a", _MATRIX.format(-1, 2, 3)])
+def test_broken_cameras_of_scannet(tmp_path: Path, text: str):
     folder = scannet(tmp_path / "a", "intrinsic/intrinsic_{}.txt")
     (folder / "intrinsic" / "intrinsic_color.txt").write_text(text)
-    refused(InputError, rf"intrinsic_color\.txt: [^\n]*{said}", find, folder)
+    refused(InputError, find, folder)
     (folder / "intrinsic" / "intrinsic_color.txt").unlink()
-    refused(InputError, r"intrinsic_color\.txt: no such file", find, folder)
+    refused(InputError, find, folder)
 
 
 FLAT = np.full((4, 6), 0.75, np.float32)
@@ -390,11 +386,10 @@ def test_sparse_depth_has_the_codes_of_the_depth(tmp_path: Path):
 def test_sparse_depth_that_cannot_be_used(tmp_path: Path):
     write_png(tmp_path / "color.png", np.zeros((4, 6, 3), np.uint8))
     write_pfm(tmp_path / "depth.pfm", FLAT)
-    for sparse, said in ((None, "no sparse depth"), (np.full((4, 6), np.nan, np.float32), "no pixel has a depth"),
-                         (np.ones((4, 5), np.float32), "5 x 4, but color.png is 6 x 4")):  # fmt: skip
+    for sparse in (None, np.full((4, 6), np.nan, np.float32), np.ones((4, 5), np.float32)):
         if sparse is not None:
             write_pfm(tmp_path / "sparse.pfm", sparse)
-        refused(InputError, said, load_sparse_frame, find(tmp_path)[0])
+        refused(InputError, load_sparse_frame, find(tmp_path)[0])
 
 
 @pytest.mark.parametrize("real", [True, False])
@@ -518,19 +513,19 @@ def test_sixteen_bits_use_their_own_range(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "infrared", "said"),
+    ("change", "infrared"),
     [
-        (None, (28, 36), "no calibration"),
-        ({"color": None}, (28, 36), "color: expected K"),
-        ({"t": [80, 0, 0]}, (28, 36), "baseline of 80 m"),
-        ({"infrared": {"K": K, "size": [640, 480]}}, (28, 36), r"calibrated for a infrared image of \[640, 480\]"),
-        ({"infrared": {"K": K, "distortion": [1, 2, 3]}}, (28, 36), "coefficients"),
-        ({"rectified": True, "fb": 10.0}, (28, 36), "36 x 28, but color.png is 40 x 30"),
+        (None, (28, 36)),
+        ({"color": None}, (28, 36)),
+        ({"t": [80, 0, 0]}, (28, 36)),
+        ({"infrared": {"K": K, "size": [640, 480]}}, (28, 36)),
+        ({"infrared": {"K": K, "distortion": [1, 2, 3]}}, (28, 36)),
+        ({"rectified": True, "fb": 10.0}, (28, 36)),
     ],
 )
-def test_what_cannot_be_used_says_why_in_a_line(tmp_path, change, infrared, said):
+def test_what_cannot_be_used_says_why_in_a_line(tmp_path, change, infrared):
     write_infrared(tmp_path, None if change is None else {**RIG, **change}, infrared)
-    refused(InputError, said, loaded, tmp_path)
+    refused(InputError, loaded, tmp_path)
 
 
 @pytest.mark.parametrize("scale", [1000.0, 4000.0])

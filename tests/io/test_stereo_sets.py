@@ -15,8 +15,8 @@ from depthcli.io.formats.images import write_png
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes, scenes_with_files
 from depthcli.io.scenes.pairs import PAIRS
-from tests.command_line import refused
 from tests.contracts.layouts import check_layout
+from tests.golden import refused, saying
 from tests.scenes import load, true
 
 HEIGHT, WIDTH = 6, 8
@@ -85,7 +85,7 @@ def test_negative_disparities_and_occlusions_of_the_subset(tmp_path: Path):
 
 def test_webp_frames_of_the_scene_flow_sets_are_refused(tmp_path: Path):
     images(*(tmp_path / "frames_cleanpass" / "a" / side / "0006.webp" for side in ("left", "right")))
-    refused(InputError, r"left/0006\.webp: WebP is not read; use the set's PNG images", load, find(tmp_path)[0])
+    refused(InputError, load, find(tmp_path)[0])
 
 
 # MPI Sintel
@@ -131,7 +131,7 @@ def test_sintel(tmp_path: Path):
 def test_what_is_said_of_other_disparities_in_sintel(tmp_path: Path):
     sintel(tmp_path)
     codes(tmp_path / "disparities" / "alley_1" / "frame_0001.png", DISPARITY, 256)
-    refused(InputError, r"frame_0001\.png: expected disparities packed into three channels", true, find(tmp_path)[0])
+    refused(InputError, true, find(tmp_path)[0])
 
 
 # DrivingStereo
@@ -277,14 +277,14 @@ def test_booster(tmp_path: Path):
                                   _BOOSTER.replace("<baselineLR>50.", "<baselineLR>")])  # fmt: skip
 def test_a_broken_calibration_of_booster(tmp_path: Path, text: str):
     (tmp_path / "calib.xml").write_text(text)
-    refused(InputError, r"calib\.xml: [^\n]*$", read_geometry, tmp_path / "calib.xml")
+    refused(InputError, read_geometry, tmp_path / "calib.xml")
 
 
 def test_unbalanced_pairs_of_booster_are_refused(tmp_path: Path):
     booster(tmp_path / "unbalanced" / "Bathroom")
     (tmp_path / "unbalanced" / "Bathroom" / "camera_02").rename(tmp_path / "unbalanced" / "Bathroom" / "camera_01")
     scene = find(tmp_path)[0]
-    refused(InputError, r"an unbalanced pair, of two sizes; use camera_02", load, scene)
+    refused(InputError, load, scene)
 
 
 # ETH3D
@@ -317,7 +317,7 @@ def test_the_truth_of_eth3d_lies_in_a_folder_beside(tmp_path: Path):
 def test_many_view_scenes_of_eth3d_are_refused(tmp_path: Path, camera: str):
     for name in (camera, "images"):
         (tmp_path / "delivery_area" / name).mkdir(parents=True)
-    with pytest.raises(InputError, match=r"a many-view scene of ETH3D, without rectified pairs; its two-view scenes"):
+    with saying(InputError):
         find(tmp_path / "delivery_area")
     eth3d(tmp_path)
     refused, usable = discover_scenes(tmp_path, PAIRS)

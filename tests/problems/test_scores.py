@@ -14,7 +14,7 @@ from depthcli.cli import main
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import read_grey
 from depthcli.io.formats.volumes import read_volume
-from tests.command_line import refused
+from tests.golden import refused, saying
 
 Capture = pytest.CaptureFixture[str]
 
@@ -87,20 +87,20 @@ TRUTH = np.ones((4, 5), np.float32)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    "arguments",
     [
-        ((TRUTH, TRUTH, "middlebury-v4"), "no protocol called 'middlebury-v4'; one of: .*kitti-2015"),
-        ((TRUTH[:2], TRUTH), "estimate: the map is 5 x 2, the truth 5 x 4"),
-        ((TRUTH[:2], TRUTH, "registration"), "estimate: shape"),
-        ((TRUTH, TRUTH * np.nan), "no known pixel"),
-        ((TRUTH, TRUTH, "depth", {"gap": TRUTH[:3]}), "mask gap: 5 x 3, but the image is 5 x 4"),
+        (TRUTH, TRUTH, "middlebury-v4"),
+        (TRUTH[:2], TRUTH),
+        (TRUTH[:2], TRUTH, "registration"),
+        (TRUTH, TRUTH * np.nan),
+        (TRUTH, TRUTH, "depth", {"gap": TRUTH[:3]}),
     ],
 )
-def test_what_cannot_be_compared_is_refused(arguments: tuple[Any, ...], message: str):
-    refused(depthcli.InputError, message, depthcli.evaluate, *arguments)
+def test_what_cannot_be_compared_is_refused(arguments: tuple[Any, ...]):
+    refused(depthcli.InputError, depthcli.evaluate, *arguments)
 
 
 def test_a_score_that_is_not_there_is_named():
     scores = depthcli.evaluate(TRUTH, TRUTH)
-    with pytest.raises(depthcli.InputError, match=r"no single score 'bad' of 'all'; metrics: bad 0.5, .*regions: all"):
+    with saying(depthcli.InputError):
         scores.value("bad", "all")

@@ -11,7 +11,8 @@ import depthcli
 from depthcli.cli import main
 from depthcli.core import memory
 from depthcli.io.formats.images import read_image
-from tests.command_line import contents, in_threads, refused
+from tests.command_line import contents, in_threads
+from tests.golden import refused, saying
 
 Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 
@@ -59,7 +60,7 @@ def test_a_result_describes_itself(pair: Images):
     depth = disparity.to_depth(focal=80.0, baseline=0.2, mask=disparity.measured)
     assert np.array_equal(depth.valid, disparity.measured)
     assert len(depth.to_points()) == np.count_nonzero(disparity.measured)
-    refused(depthcli.ConfigError, "either a calibration", disparity.to_depth, focal=80.0)
+    refused(depthcli.ConfigError, disparity.to_depth, focal=80.0)
 
 
 def test_the_same_image_in_other_forms(pair: Images):
@@ -91,31 +92,31 @@ def test_overrides_are_those_of_set(pair: Images):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    "arguments",
     [
-        ({"preset": "acurate"}, "did you mean 'accurate'"),
-        ({"tilez": "never"}, "override tilez: no such key .*did you mean 'tiles'"),
-        ({"overrides": {"cost.": 1}}, "expected the name of a key"),
-        ({"device": "cuda:99"}, "^device cuda:99: "),
+        {"preset": "acurate"},
+        {"tilez": "never"},
+        {"overrides": {"cost.": 1}},
+        {"device": "cuda:99"},
     ],
 )
-def test_wrong_configs_are_refused(pair: Images, arguments: dict[str, object], message: str):
-    with pytest.raises(depthcli.ConfigError, match=message):
+def test_wrong_configs_are_refused(pair: Images, arguments: dict[str, object]):
+    with saying(depthcli.ConfigError):
         depthcli.stereo(*pair, **{"max_disparity": 12, **arguments})  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
-    ("left", "right", "message"),
+    ("left", "right"),
     [
-        (np.zeros((5, 6), np.uint8), np.zeros((5, 7), np.uint8), "right: 7 x 5 .*left is 6 x 5"),
-        (np.zeros((5, 6), np.int32), np.zeros((5, 6), np.uint8), "left: expected uint8, uint16, or floats"),
-        (np.zeros((5, 6), np.uint8), np.full((5, 6), 2.0), r"right: floats must be from 0 to 1, got 2 to 2"),
-        (np.zeros((5, 6, 2), np.uint8), np.zeros((5, 6), np.uint8), r"left: expected an image of shape .*\(5, 6, 2\)"),
-        ("left.png", "right.png", "left: expected an image, got a path"),
+        (np.zeros((5, 6), np.uint8), np.zeros((5, 7), np.uint8)),
+        (np.zeros((5, 6), np.int32), np.zeros((5, 6), np.uint8)),
+        (np.zeros((5, 6), np.uint8), np.full((5, 6), 2.0)),
+        (np.zeros((5, 6, 2), np.uint8), np.zeros((5, 6), np.uint8)),
+        ("left.png", "right.png"),
     ],
 )
-def test_wrong_images_are_refused(left: NDArray[np.generic], right: NDArray[np.generic], message: str):
-    refused(depthcli.InputError, message, depthcli.stereo, left, right, 4, "fast")
+def test_wrong_images_are_refused(left: NDArray[np.generic], right: NDArray[np.generic]):
+    refused(depthcli.InputError, depthcli.stereo, left, right, 4, "fast")
 
 
 def test_the_pair_gives_a_range_that_is_not_given(pair: Images):
@@ -123,14 +124,14 @@ def test_the_pair_gives_a_range_that_is_not_given(pair: Images):
     assert found.search == requested.search and found.key_points["range_matches"] > 16
     assert len(found.warnings) == len(requested.warnings) + 1
     assert f'"auto" was taken, which gives {found.search.max_disparity} px' in found.warnings[-1]
-    with pytest.raises(depthcli.InputError, match="left image"):
+    with saying(depthcli.InputError):
         depthcli.stereo(np.zeros((40, 60), np.uint8), np.zeros((40, 60), np.uint8))
 
 
 def test_volumes_made_elsewhere(pair: Images):
     costs = np.random.default_rng(0).random((*pair[0].shape[:2], 13), np.float32)
     config = depthcli.FuseConfig.model_validate({"measures": ["census", {"volume": "net.npy"}], "max_disparity": 12})
-    refused(depthcli.ConfigError, r"the config needs net.npy", depthcli.fuse, *pair, preset=config)
+    refused(depthcli.ConfigError, depthcli.fuse, *pair, preset=config)
     assert depthcli.fuse(*pair, preset=config, volumes={"net.npy": costs}).density == 1.0
 
 

@@ -34,6 +34,7 @@ from depthcli.report.packing import pack, pack_bytes, thinned, unpack
 from depthcli.report.page import Page
 from depthcli.report.scene_view import slices
 from depthcli.show.view import WRONG, kind_colors, map_colors
+from tests.golden import told
 from tests.report.conftest import ODD, SHAPE
 
 
@@ -225,7 +226,7 @@ def test_a_missing_map_and_a_single_run(tmp_path: Path, scenes: Path, runs: list
 
 def test_html_wants_a_folder(scenes: Path, runs: list[Path], capsys: pytest.CaptureFixture[str]):
     assert main(["evaluate", str(runs[0]), "--truth", str(scenes), "--html"]) == 2
-    assert "--output" in capsys.readouterr().err
+    told(capsys.readouterr().err)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-7.5, 200.3), (500.0, 9000.0), (3.0, 3.0)])

@@ -15,7 +15,8 @@ from depthcli.core.errors import ConfigError
 from depthcli.run import workers
 from depthcli.run.folder import LOCKS_FILE, FolderLock
 from depthcli.run.job import shard_of
-from tests.command_line import contents, refused, run, start, statuses, wait_for
+from tests.command_line import contents, run, start, statuses, wait_for
+from tests.golden import refused, told
 
 FAST = "opencv-bm"
 
@@ -62,10 +63,10 @@ def test_who_may_come_in(made_scenes: Path, tmp_path: Path, capsys, monkeypatch)
     with FolderLock(out, print) as lock:
         assert lock.alone
         assert run(*common) == 2  # still being set up
-        assert "another depthcli is setting this folder up" in capsys.readouterr().err
+        told(capsys.readouterr().err)
         lock.share()
         assert run(*common, "--set", "block=7", "--overwrite") == 2
-        assert "writes a run of another config there" in capsys.readouterr().err
+        told(capsys.readouterr().err)
         assert run(*common) == 0
         assert lock.last()
         assert not (out / LOCKS_FILE).exists()
@@ -197,7 +198,7 @@ def test_what_a_shard_is(text: str | None, slurm: str, shard: tuple[int, int] | 
 
 @pytest.mark.parametrize("text", ["0/2", "3/2", "1", "a/b"])
 def test_wrong_shards_are_refused(text: str):
-    refused(ConfigError, "--shard", shard_of, text, {})
+    refused(ConfigError, shard_of, text, {})
 
 
 @pytest.mark.slow

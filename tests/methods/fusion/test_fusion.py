@@ -12,6 +12,7 @@ from depthcli.methods.fusion.votes import Ballot, ColorSupport, WindowSupport
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.testing.inputs import assert_pure, texture
+from tests.golden import saying
 from tests.naive import fusion as naive
 from tests.naive.stereo import constant_window
 
@@ -164,15 +165,15 @@ def test_a_volume_made_elsewhere_counts_as_a_measure():
 
 
 @pytest.mark.parametrize(
-    ("volumes", "message"),
+    "volumes",
     [
-        ({}, "learned.npy: no such volume"),
-        ({"learned.npy": np.zeros((40, 70, 11))}, r"expected shape \(40, 70, 12 or more\), got \(40, 70, 11\)"),
-        ({"learned.npy": np.full((40, 70, 12), np.nan)}, "NaN or infinite"),
+        {},
+        {"learned.npy": np.zeros((40, 70, 11))},
+        {"learned.npy": np.full((40, 70, 12), np.nan)},
     ],
 )
-def test_a_volume_that_does_not_fit_is_refused(volumes, message):
-    with pytest.raises(InputError, match=message):
+def test_a_volume_that_does_not_fit_is_refused(volumes):
+    with saying(InputError):
         fusion(measures=["census", {"volume": "learned.npy"}]).with_volumes(lambda: volumes)(soft_pair(), 11)
 
 

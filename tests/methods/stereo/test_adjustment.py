@@ -20,6 +20,7 @@ from depthcli.problems.stereo import StereoConfig
 from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.inputs import texture, threads
 from tests.contracts.inputs import preset, wrong
+from tests.golden import saying
 from tests.methods.stereo._pairs import PARAMETERS
 from tests.naive import adjustment as naive
 
@@ -170,7 +171,7 @@ def test_grey_and_deep_images_are_adjusted_alike(scene):
 def test_the_memory_error_names_a_sufficient_amount(scene):
     pipeline = StereoConfig.model_validate({"pipeline": "local", "adjust": BOTH, "cost": "census"}).pipeline
     pair = StereoPair(scene.left, lit(scene.right))
-    with pytest.raises(InputError, match="needs at least") as raised:
+    with saying(InputError) as raised:
         match(pipeline, pair, 40, Limits(5 << 20, tiles="always"))
     needed, given = (int(word) for word in re.findall(r"(-?\d+) MiB", str(raised.value)))
     assert given == 5

@@ -24,6 +24,7 @@ from depthcli.io.formats.images import read_image, write_png
 from depthcli.methods.stereo.pipeline._process import ProgramError, run_program
 from depthcli.problems.stereo import StereoConfig
 from tests.command_line import rows
+from tests.golden import saying, told
 
 # OpenCV's matcher as a program of somebody else: reads two images, writes a map as .npy.
 SGBM = """
@@ -126,7 +127,7 @@ def test_a_run_goes_on_unless_program_or_version_are_others(here: Path, made_sce
     run = ["stereo", "sgbm.yaml", "-i", str(made_scenes), "-o", "run", "--scenes", "planes_0"]
     assert main(run) == 0
     assert main(["stereo", "run/run.yaml", *run[2:]]) == 0
-    assert "1 of 1 scenes are done already" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     (here / "sgbm.py").write_text(SGBM.replace("raw / 16", "raw / 8"))
     before = read_pfm(here / "run" / "planes_0" / "disp_left.pfm")
     assert main(run) == 0
@@ -134,7 +135,7 @@ def test_a_run_goes_on_unless_program_or_version_are_others(here: Path, made_sce
     both = np.isfinite(before) & np.isfinite(after) & (before > 0)
     assert np.median(after[both] / before[both]) == 2
     assert main([*run, "--set", "version=2.1"]) == 2
-    assert "version: '2.1'" in capsys.readouterr().err
+    told(capsys.readouterr().err)
 
 
 @pytest.mark.slow
@@ -202,7 +203,7 @@ def test_original_images_are_the_scene_s_own_files_or_refused(here: Path, made_s
     seen = set((here / "seen").read_text().split())
     assert seen == {str(path) for path in (made_scenes / "planes_0").glob("[lr]*.png")}
     assert stereo("c.yaml", made_scenes, "shifted", *options, "--set", "min_disparity=1") == 3
-    assert "images: original: no image files hold this pair as it is matched" in capsys.readouterr().err
+    told(capsys.readouterr().err)
     assert not list((here / "scratch").iterdir())
 
 
@@ -289,16 +290,16 @@ def ends(pid: int) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("code", "message"),
+    "code",
     [
-        ("import sys; print('no licence', file=sys.stderr); sys.exit(3)", r"ended with exit code 3: no licence$"),
-        ("print('only stdout'); raise SystemExit(1)", r"exit code 1: only stdout$"),
-        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", r"was ended by SIGSEGV$"),
-        ("print('y' * 9999); 1 / 0", r"exit code 1: Traceback .* \| ZeroDivisionError: division by zero$"),
+        "import sys; print('no licence', file=sys.stderr); sys.exit(3)",
+        "print('only stdout'); raise SystemExit(1)",
+        "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
+        "print('y' * 9999); 1 / 0",
     ],
 )
-def test_exit_codes_and_signals_are_named_with_the_end_of_the_output(tmp_path: Path, code: str, message: str):
-    with pytest.raises(ProgramError, match=message) as error:
+def test_exit_codes_and_signals_are_named_with_the_end_of_the_output(tmp_path: Path, code: str):
+    with saying(ProgramError) as error:
         run(tmp_path, code)
     assert "\n" not in str(error.value)
 
@@ -338,7 +339,7 @@ def test_memory_of_all_processes_together_is_limited(tmp_path: Path):
         block = bytearray(b"x" * (80 << 20))
         time.sleep(60)
     """
-    with pytest.raises(ProgramError, match=r"took more than the 200 MiB that may be used; see --max-memory, --jobs"):
+    with saying(ProgramError):
         run(tmp_path, code, memory=200 << 20)
 
 

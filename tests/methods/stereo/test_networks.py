@@ -15,6 +15,7 @@ from depthcli.methods.stereo.networks import MeanDeviation, networks_in, normali
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.pipeline.onnx import NetworkPipeline
 from depthcli.testing.inputs import assert_pure, inside, shifted_pair
+from tests.golden import saying
 from tests.methods.stereo._networks import Graph, block_matcher, has_onnx, local_features
 
 needs_onnx = pytest.mark.skipif(not has_onnx(), reason="onnxruntime or onnx is not installed")
@@ -32,7 +33,7 @@ def test_inputs_are_found_from_names_and_shapes(tmp_path: Path, form: str):
     multiple = 32 if form in ("two", "iterations") else 1
     network = pipeline(block_matcher(tmp_path / "net.onnx", form, multiple=multiple))
     if form == "iterations":
-        with pytest.raises(InputError, match="needs a number of iterations"):
+        with saying(InputError):
             network.prepare("cpu")
         network = network.model_copy(update={"iterations": 3})
     network.prepare("cpu")
@@ -58,23 +59,21 @@ def test_a_network_of_one_size_gets_it_and_disparities_are_scaled(tmp_path: Path
     disparity = network.model_copy(update={"left_right_check": False})(pair, 32).disparity
     assert disparity.values.shape == (192, 256)
     assert abs(np.median(disparity.values) - 16) < 1
-    with pytest.raises(InputError, match="takes images of 128 x 96"):
+    with saying(InputError):
         network.model_copy(update={"size": (64, 64)}).prepare("cpu")
 
 
 @needs_onnx
-@pytest.mark.parametrize(
-    ("factor", "message"), [(-1, "the sign is wrong"), (0.25, "the scale is wrong, 0.25"), (0, "does not find them")]
-)
-def test_the_self_check_refuses_what_is_no_disparity(tmp_path: Path, factor: float, message: str):
+@pytest.mark.parametrize("factor", [-1, 0.25, 0])
+def test_the_self_check_refuses_what_is_no_disparity(tmp_path: Path, factor: float):
     network = pipeline(block_matcher(tmp_path / "net.onnx", factor=factor))
-    with pytest.raises(InputError, match=message):
+    with saying(InputError):
         network.prepare("cpu")
     network.model_copy(update={"self_check": False}).prepare("cpu")
     if factor == -1:
         network.model_copy(update={"sign": "negative"}).prepare("cpu")
         network.model_copy(update={"profile": "raft-stereo"}).prepare("cpu")
-        with pytest.raises(InputError, match="sign"):
+        with saying(InputError):
             network.model_copy(update={"profile": "raft-stereo", "sign": "positive"}).prepare("cpu")
 
 
@@ -102,17 +101,17 @@ def test_same_bytes_at_any_thread_count_and_inputs_untouched(tmp_path: Path):
 @needs_onnx
 def test_what_is_no_network_of_this_kind_is_refused(tmp_path: Path):
     features = local_features(tmp_path / "features.onnx")
-    with pytest.raises(InputError, match="expected one input of 2 or 6 channels, two images, or four"):
+    with saying(InputError):
         pipeline(features).prepare("cpu")
     graph = Graph()
     image, flow = (1, 3, 8, 8), (1, 2, 4, 4)
     inputs = {"left": image, "right": image, "flow_init": flow}
     parts = graph.save(tmp_path / "part.onnx", inputs, graph.add("Abs", "left"))
-    with pytest.raises(InputError, match=r"flow_init \(2 channels\); is it one part of a network in two files"):
+    with saying(InputError):
         pipeline(parts).prepare("cpu")
-    with pytest.raises(InputError, match="one image as its input"):
+    with saying(InputError):
         NetworkCost(model=str(block_matcher(tmp_path / "net.onnx"))).prepare("cpu")
-    with pytest.raises(InputError, match="want a vector for each pixel"):
+    with saying(InputError):
         NetworkCost(model=str(local_features(tmp_path / "half.onnx", pads=1, stride=2))).prepare("cpu")
 
 
@@ -156,7 +155,7 @@ def test_values_that_networks_take():
         image = samples(wide, view, n)
         assert (image == 255).all() and image.shape == (4, 4, n)
     assert padded(np.zeros((5, 7, 1), np.float32), 4, margin=1).shape == (8, 12, 1)
-    with pytest.raises(ValueError, match="deviations are above 0"):
+    with saying(ValueError):
         MeanDeviation(mean=(0.5,), deviation=(0.0,))
 
 

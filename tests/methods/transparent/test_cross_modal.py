@@ -19,6 +19,7 @@ from depthcli.methods.transparent.match_selection import MatchSelection
 from depthcli.simulate.transparent_scenes import glass_of_pair, make_transparent_scene
 from depthcli.testing.inputs import assert_pure, texture
 from tests.contracts.inputs import preset
+from tests.golden import saying
 from tests.scenes import DATA, load, needs_data, true
 
 SIZE, SMALL = (200, 150), (160, 130)
@@ -72,16 +73,16 @@ def test_a_wall_is_measured_through_two_different_cameras(shift):
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    "changes",
     [
-        ({"translation": np.array([0.0, 0.08, 0])}, "one above the other"),
-        ({"rotation": cv2.Rodrigues(np.array([0.0, 2.5, 0]))[0]}, "nothing in common|one above"),
+        {"translation": np.array([0.0, 0.08, 0])},
+        {"rotation": cv2.Rodrigues(np.array([0.0, 2.5, 0]))[0]},
     ],
 )
-def test_cameras_that_cannot_be_matched_are_refused(changes, message):
+def test_cameras_that_cannot_be_matched_are_refused(changes):
     frame = RgbIrFrame(np.zeros((*SIZE[::-1], 3), np.uint8), np.zeros(SMALL[::-1], np.uint8),
                        np.ones(SIZE[::-1], np.float32), rig(**changes))  # fmt: skip
-    with pytest.raises(InputError, match=message):
+    with saying(InputError):
         CrossModal()(frame, Clock())
 
 

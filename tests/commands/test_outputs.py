@@ -1,0 +1,125 @@
+"""What commands print and write on one small input, compared whole (``tests/outputs``)."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.io.formats.disparity import read_pfm, write_pfm
+from depthcli.io.formats.images import write_png
+from tests.golden import same_text, steady_csv, steady_json
+
+Same = Callable[[str, str], None]
+
+
+@pytest.fixture
+def same(request: pytest.FixtureRequest) -> Same:
+    return lambda name, text: same_text(name, text, request.config.getoption("renew"))
+
+
+def steady_table(text: str) -> str:
+    return re.sub(r"(?m) +\d+\.\d+ +\d+ MiB$| +memory$", "", text).replace("  seconds", "")
+
+
+RUNS = {
+    "stereo": ("two_scenes", "stereo", "fast", "--bound"),
+    "fuse": ("two_scenes", "fuse", "consensus", "--max-disparity", "12"),
+    "refine-kinect": ("made_kinect", "refine-kinect", "fast", "--scenes", "planes"),
+    "transparent": ("made_glass", "transparent", "sparse", "--scenes", "glass_0"),
+    "register-confidence": ("made_volumes", "register-confidence", "axes", "--scenes", "pair_0"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RUNS)
+def test_a_run(name: str, same: Same, request: pytest.FixtureRequest, tmp_path: Path, capsys):
+    fixture, *words = RUNS[name]
+    words += ["-i", str(request.getfixturevalue(fixture)), "-o", str(tmp_path / "run")]
+    assert main(words) == 0
+    same(f"{name}.table.txt", steady_table(capsys.readouterr().out))
+    same(f"{name}.report.csv", steady_csv((tmp_path / "run" / "report.csv").read_text()))
+    assert main([*words, "--json"]) == 0
+    same(f"{name}.json", steady_json(capsys.readouterr().out))
+
+
+@pytest.fixture
+def scored(tmp_path: Path) -> list[str]:
+    """Words of an evaluation of two runs of two scenes: a good one, and one with wrong values, gaps and times."""
+    rng = np.random.default_rng(0)
+    truth = np.linspace(4, 12, 32, dtype=np.float32) * np.ones((24, 1), np.float32)
+    wrong = truth.copy()
+    wrong[:8, ::3] += 1.5
+    wrong[10:14, 12:20], wrong[20] = np.nan, 0
+    for k, name in enumerate(("a", "b")):
+        folder = tmp_path / "set" / name
+        for side in ("left", "right"):
+            write_png(folder / f"{side}.png", rng.integers(0, 256, (24, 32, 3)).astype(np.uint8))
+        write_pfm(folder / "disp_left.pfm", truth)
+        write_png(folder / "mask_nonocc.png", np.arange(32) >= np.full((24, 1), 8))
+        write_png(folder / "mask_disc.png", np.eye(24, 32, dtype=np.uint8) * np.uint8(255))
+        (folder / "meta.json").write_text(json.dumps({"max_disparity": 15}))
+        write_pfm(tmp_path / "good" / name / "disp_left.pfm", truth + np.float32(0.3 * k))
+        write_pfm(tmp_path / "poor" / name / "disp_left.pfm", np.roll(wrong, k, axis=0))
+        write_pfm(tmp_path / "poor" / name / "confidence_pkr.pfm", rng.random((24, 32), np.float32))
+        write_pfm(tmp_path / "poor" / name / "bound.pfm", np.float32(0.2) + rng.random((24, 32), np.float32))
+    for run in ("good", "poor"):
+        rows = [
+            {"scene": name, "status": "done", "seconds": {"a": 0.5, "b": 1 + k}, "width": 32, "height": 24}
+            for k, name in enumerate(("a", "b"))
+        ]
+        (tmp_path / run / "report.json").write_text(json.dumps({"scenes": rows}))
+    return ["evaluate", str(tmp_path / "good"), str(tmp_path / "poor"), "--truth", str(tmp_path / "set")]
+
+
+@pytest.mark.parametrize("protocol", ["middlebury-v2", "middlebury-v3", "kitti-2012", "kitti-2015", "eth3d", "booster"])
+def test_an_evaluation(protocol: str, scored: list[str], same: Same, tmp_path: Path, capsys):
+    words = [*scored, "--protocol", protocol]
+    assert main([*words, "--tables", "all", "-o", str(tmp_path / "out")]) == 0
+    same(f"evaluate.{protocol}.txt", capsys.readouterr().out)
+    if protocol != "middlebury-v2":
+        return
+    for form in ("latex", "markdown", "csv"):
+        assert main([*words, "--format", form]) == 0
+        out = capsys.readouterr().out
+        same(f"evaluate.{form}.txt", steady_csv(out) if form == "csv" else out)
+    assert main([*words, "--json"]) == 0
+    same("evaluate.json", steady_json(capsys.readouterr().out, ("version",)))
+    same("evaluate.report.md", (tmp_path / "out" / "report.md").read_text())
+    same("evaluate.scores.csv", steady_csv((tmp_path / "out" / "scores.csv").read_text()[:7000].rpartition("\n")[0]))
+
+
+def test_depth(scored: list[str], same: Same, tmp_path: Path, capsys):
+    words = ["depth", str(tmp_path / "good" / "a" / "disp_left.pfm"), "--focal", "40", "--baseline", "0.2"]
+    words += ["--doffs", "2", "-o", str(tmp_path / "depth")]
+    assert main(words) == 0
+    same("depth.table.txt", steady_table(capsys.readouterr().out))
+    assert main([*words, "--json"]) == 0
+    same("depth.json", steady_json(capsys.readouterr().out))
+    (depth,) = (tmp_path / "depth").rglob("depth.pfm")
+    np.testing.assert_allclose(read_pfm(depth), 40 * 0.2 / (read_pfm(Path(words[1])) + 2), rtol=1e-6)
+
+
+def test_presets(same: Same, capsys):
+    assert main(["presets", "--json"]) == 0
+    same("presets.json", steady_json(capsys.readouterr().out))
+    assert main(["presets"]) == 0
+    same("presets.txt", capsys.readouterr().out)
+
+
+@pytest.mark.slow
+def test_a_sweep(two_scenes: Path, same: Same, tmp_path: Path, capsys):
+    words = ["sweep", "fast", "-i", str(two_scenes), "-o", str(tmp_path / "sweep"), "--over", "optimization.p2=2,8"]
+    assert main(words) == 0
+    same("sweep.txt", re.sub(r"\d+\.\d+$", "", capsys.readouterr().out))
+    assert main([*words, "--json"]) == 0
+    same("sweep.json", steady_json(capsys.readouterr().out))
+
+
+def test_samples(same: Same, tmp_path: Path, capsys):
+    words = ["sample", "-n", "3", "--width", "64", "--height", "48", "--max-disparity", "8", "-o", str(tmp_path / "s")]
+    assert main([*words, "--json"]) == 0
+    same("sample.json", steady_json(capsys.readouterr().out))

@@ -1,0 +1,145 @@
+"""Texts that the program writes, compared whole with files kept beside the tests; ``pytest --renew`` writes them anew.
+
+A test asserts the kind of an error, exit codes and values. The sentences are in ``tests/messages.txt`` under the name
+of the test: a change of words changes that file alone, and is looked at there.
+"""
+
+import csv
+import json
+import os
+import re
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from depthcli.io.formats.disparity import read_plane
+
+TESTS = Path(__file__).resolve().parent
+MEASURED = ("seconds", "peak_memory", "version")
+MESSAGES = TESTS / "messages.txt"
+temporary = Path("/tmp")
+given: dict[str, list[str]] = {}  # by test, of this process
+
+
+def read_messages() -> dict[str, list[str]]:
+    """Return the lines kept for each test."""
+    kept, test = dict[str, list[str]](), ""
+    for line in MESSAGES.read_text("utf-8").splitlines() if MESSAGES.is_file() else ():
+        if line.startswith("    "):
+            kept[test].append(line[4:])
+        else:
+            kept[test := line] = []
+    return kept
+
+
+def renew() -> None:
+    """Keep what was given, and drop tests that are gone."""
+    kept = {test: lines for test, lines in sorted({**read_messages(), **given}.items()) if lines}
+    places = {test: (TESTS.parent / test.split("::")[0], test.split("::")[-1].split("[")[0]) for test in kept}
+    sources = {file: file.read_text("utf-8") for file, _ in places.values() if file.is_file()}
+    alive = [test for test, (file, name) in places.items() if f"def {name}(" in sources.get(file, "")]
+    text = "".join(f"{test}\n" + "".join(f"    {line}\n" for line in kept[test]) for test in alive)
+    MESSAGES.write_text(text, "utf-8")
+
+
+def told(text: str) -> str:
+    """Note a message, or what a command wrote, for the comparison at the end of the test; return it.
+
+    Folders of the test and of the checkout, and measured times, are left out of the comparison.
+    """
+    test = os.environ["PYTEST_CURRENT_TEST"].rpartition(" (")[0]
+    given.setdefault(test, []).extend(line.rstrip() for line in (_plain(text).strip() or "(nothing)").splitlines())
+    return text
+
+
+def _plain(text: str) -> str:
+    for folder in (str(temporary), str(Path(tempfile.gettempdir(), "tmp"))):
+        text = re.sub(re.escape(folder) + r"(/?[^/\s:',\"`]+)?", "TMP", text)
+    text = text.replace(str(TESTS.parent), "ROOT")
+    return re.sub(r"\b\d+(\.\d+)? (s|min|ms)\b", r"N \2", text)
+
+
+@contextmanager
+def saying(kind: type[BaseException]) -> Iterator[pytest.ExceptionInfo[Any]]:
+    """Assert that an exception of this kind is raised, with the words kept for the test."""
+    with pytest.raises(kind) as caught:
+        yield caught
+    told(str(caught.value))
+
+
+def refused(kind: type[Exception], call: Callable[..., object], *arguments: Any, **options: Any) -> str:
+    """Assert that the call ends with an error of one line, with the words kept for the test; return the line."""
+    with saying(kind) as caught:
+        call(*arguments, **options)
+    assert str(caught.value).isprintable()
+    return str(caught.value)
+
+
+def same_text(name: str, text: str, renewed: bool) -> None:
+    """Compare a whole output with ``tests/outputs/NAME``, or write that file."""
+    file = TESTS / "outputs" / name
+    plain = "".join(f"{line.rstrip()}\n" for line in _plain(text).splitlines())
+    if renewed:
+        file.write_text(plain, "utf-8")
+    assert plain == file.read_text("utf-8"), f"look at tests/outputs/{name}; pytest --renew writes it"
+
+
+def same_figures(key: str, folder: Path, renewed: bool) -> None:
+    """Compare every map below a folder with the figures of ``key`` in ``tests/outputs/maps.json``, or write them.
+
+    A map has the share of its pixels with a value, and the mean, deviation, and mean step to the right of the values.
+    """
+    found = {}
+    for path in sorted([*folder.rglob("*.pfm"), *folder.rglob("*.npy")]):
+        values = np.asarray(read_plane(path) if path.suffix == ".pfm" else np.load(path), np.float64)
+        known = values[np.isfinite(values)]
+        figures = known.size / values.size, known.mean(), known.std(), np.nanmean(np.abs(np.diff(values, axis=-1)))
+        found[path.relative_to(folder).as_posix()] = [float(f"{figure:.5g}") for figure in figures]
+    file = TESTS / "outputs" / "maps.json"
+    kept = json.loads(file.read_text("utf-8"))
+    if renewed:
+        kept[key] = found
+        lines = [f' "{name}": {json.dumps(kept[name])}' for name in sorted(kept)]
+        file.write_text("{\n" + ",\n".join(lines) + "\n}\n", "utf-8")
+    assert found == {name: pytest.approx(figures, 1e-3, 1e-6) for name, figures in kept[key].items()}
+
+
+def steady_json(text: str, measured: tuple[str, ...] = MEASURED) -> str:
+    """Return a JSON document without measured times and memory, floats of 5 digits, long curves as sums."""
+
+    def steady(value: Any, key: str = "") -> Any:
+        if isinstance(value, dict):
+            return {name: steady(each, "seconds" if key == "seconds" else name) for name, each in value.items()}
+        if isinstance(value, list) and len(value) > 12 and all(isinstance(each, int | float) for each in value):
+            return f"{len(value)} numbers, {value[0]:.5g} to {value[-1]:.5g}, sum {sum(value):.5g}"
+        if isinstance(value, list):
+            return [steady(each, key) for each in value]
+        if key.startswith(measured):
+            return None if value is None else "measured"
+        return float(f"{value:.5g}") if isinstance(value, float) else value
+
+    return _json_lines(steady(json.loads(text)))
+
+
+def _json_lines(value: Any, margin: str = "\n") -> str:
+    short = json.dumps(value, ensure_ascii=False)
+    if len(short) < 200 or not isinstance(value, dict | list):
+        return short
+    named = [f"{json.dumps(key)}: " for key in value] if isinstance(value, dict) else [""] * len(value)
+    parts = value.values() if isinstance(value, dict) else value
+    lines = [margin + " " + name + _json_lines(each, margin + " ") for name, each in zip(named, parts, strict=True)]
+    return short[0] + ",".join(lines) + margin + short[-1]
+
+
+def steady_csv(text: str) -> str:
+    """Return the lines of a CSV file in which measured times and memory are left out, floats rounded to 5 digits."""
+    header, *rows = csv.reader(text.splitlines())
+    kept = [k for k, name in enumerate(header) if not name.startswith(MEASURED)]
+    cells = [[row[k] for k in kept] for row in (header, *rows)]
+    rounded = [[f"{float(c):.5g}" if re.fullmatch(r"-?\d+\.\d+(e-?\d+)?", c) else c for c in row] for row in cells]
+    return "\n".join(map(",".join, rounded))
