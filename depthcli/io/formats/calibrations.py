@@ -120,28 +120,40 @@ def read_rig(paths: Sequence[Path], reading: Reading | None = None, size: tuple[
         ``calib_cam_to_cam``, ZED's ``SN12345.conf``
     size : (width, height) of the images, which selects the cameras in ZED's file; None: the first size in the file
     """
-    texts = [text_of(read_bytes(path, _MAX_BYTES)) for path in paths]
+    content, _ = _read(paths, reading or Reading(), size, only_rigs=True)
+    assert isinstance(content, Rig)
+    return content
+
+
+def _read(
+    paths: Sequence[Path], reading: Reading, size: tuple[int, int] | None, only_rigs: bool = False
+) -> tuple[Rig | PairGeometry, list[dict[str, Any]]]:
+    """Return the cameras of a calibration, rectified or not, and the nested fields of its files, if they have any."""
+    texts, meters, files = [text_of(read_bytes(path, _MAX_BYTES)) for path in paths], reading.meters(), []
+    content: Rig | PairGeometry | None = None
     with naming(paths[0]), warnings_naming(paths[0]):
-        return _rig(texts, reading or Reading(), size)
-
-
-def _rig(texts: Sequence[str], reading: Reading, size: tuple[int, int] | None = None) -> Rig:
-    if re.search(r"^K_0\d:", texts[0], re.MULTILINE):
-        rig = _kitti_rig(key_values(_only(texts)), reading.cameras)
-    elif _ZED.search(texts[0]):
-        return _zed_rig(_only(texts), reading, size)
-    elif not _STORAGE.search(texts[0]) and _rectified_geometry(texts, Reading("m")) is not None:
-        raise InputError("describes a rectified pair, which is matched as it is; depth takes this file, too")
-    elif "cam0" in (files := [_storage_fields(text) for text in texts])[0]:
-        rig = _kalibr_rig(_only(files))
-    elif "camera_matrix" in files[0]:
-        rig = _ros_rig(files)
-    else:
-        rig = _opencv_rig(files, reading.fisheye)
-    if (meters := reading.meters()) != 1.0:
-        rig = replace(rig, translation=rig.translation * meters)
-    reading.check(rig.baseline)
-    return rig
+        if re.search(r"^K_0\d:", texts[0], re.MULTILINE):
+            content = _kitti_rig(key_values(_only(texts)), reading.cameras)
+        elif _ZED.search(texts[0]):
+            content, meters = _zed_rig(_only(texts), size), reading.meters(_MILLIMETER)
+        elif not _STORAGE.search(texts[0]):
+            content = _rectified_geometry(texts, reading)
+        if content is None:
+            files = [_storage_fields(text) for text in texts]
+            if "proj_matL" in files[0]:
+                content = _booster_geometry(_only(files), reading.meters(_MILLIMETER))
+            elif "cam0" in files[0]:
+                content = _kalibr_rig(_only(files))
+            elif "camera_matrix" in files[0]:
+                content = _ros_rig(files)
+            else:
+                content = _opencv_rig(files, reading.fisheye)
+        if isinstance(content, Rig):
+            content = replace(content, translation=content.translation * meters)
+        elif only_rigs:
+            raise InputError("describes a rectified pair, which is matched as it is; depth takes this file, too")
+        reading.check(content.baseline)
+        return content, files
 
 
 def _only(files: Sequence[ValueT]) -> ValueT:
@@ -194,20 +206,13 @@ def read_geometry(
         projections (``P1``, ``P2``, ROS's ``projection_matrix``) and the rectification of ``depthcli rectify``
     """
     files, reading = [paths] if isinstance(paths, Path) else list(paths), reading or Reading()
-    texts = [text_of(read_bytes(path, _MAX_BYTES)) for path in files]
+    rig, fields = _read(files, reading, size)
+    if isinstance(rig, PairGeometry):
+        return rig
+    if rectified is not None:
+        return read_geometry(rectified, Reading(asks=False))
     with naming(files[0]), warnings_naming(files[0]):
-        if not _STORAGE.search(texts[0]) and (geometry := _rectified_geometry(texts, reading)) is not None:
-            reading.check(geometry.baseline)
-            return geometry
-        stored = [_storage_fields(text) for text in texts] if _STORAGE.search(texts[0]) else []
-        if stored and "proj_matL" in stored[0]:
-            geometry = _booster_geometry(_only(stored), reading.meters(_MILLIMETER))
-            reading.check(geometry.baseline)
-            return geometry
-        rig = _rig(texts, reading, size)
-        if rectified is not None:
-            return read_geometry(rectified, Reading(asks=False))
-        if (geometry := _projected(stored, rig.left.size, reading.meters())) is not None:
+        if (geometry := _projected(fields, rig.left.size, reading.meters())) is not None:
             reading.check(geometry.baseline)
             warn("the map is taken to be of a pair that was rectified by its projections")
             return geometry
@@ -261,7 +266,7 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
     text = text_of(read_bytes(path, _MAX_BYTES))
     with naming(path):
         if not text.lstrip().startswith("{") or "opencv-matrix" in text:
-            rig = _rig([text], Reading("m"))
+            rig = read_rig([path], Reading("m"))
         else:
             fields = json_object(text)
             if fields.get("rectified") is True:
@@ -436,11 +441,11 @@ def _ros_rig(files: Sequence[dict[str, Any]]) -> Rig:
     return Rig(cameras[0], cameras[1], rotations[1].T @ rotations[0], rotations[1].T @ shift)
 
 
-def _zed_rig(text: str, reading: Reading, size: tuple[int, int] | None) -> Rig:
+def _zed_rig(text: str, size: tuple[int, int] | None) -> Rig:
     """Return the cameras for images of ``size`` (None: the file's first size) from a Stereolabs ini file.
 
     ``Baseline`` is the distance to the right camera, ``TY`` and ``TZ`` are as in OpenCV, and ``RX``, ``CV``, ``RZ`` are
-    the rotation vector. Lengths are in millimeters.
+    the rotation vector.
     """
     parser = configparser.ConfigParser(strict=False, interpolation=None, comment_prefixes=("#", ";"))
     try:
@@ -471,11 +476,9 @@ def _zed_rig(text: str, reading: Reading, size: tuple[int, int] | None) -> Rig:
             name = next((each for each in (f"{key}_{mode}".lower(), key.lower()) if each in stereo), "")
             return _number(stereo, name) if name else 0.0
 
-        shift = np.array([-_number(stereo, "baseline"), value("TY"), value("TZ")]) * reading.meters(_MILLIMETER)
+        shift = np.array([-_number(stereo, "baseline"), value("TY"), value("TZ")])
         turn = np.asarray(cv2.Rodrigues(np.array([value(key) for key in ("RX", "CV", "RZ")]))[0], np.float64)
-    rig = Rig(cameras[0], cameras[1], turn, shift)
-    reading.check(rig.baseline)
-    return rig
+    return Rig(cameras[0], cameras[1], turn, shift)
 
 
 def _middlebury_geometry(fields: dict[str, str], meters: float) -> PairGeometry:
