@@ -451,7 +451,8 @@ def test_every_calibration_of_a_rectified_pair_gives_meters(kind: str, tmp_path:
     np.testing.assert_allclose(read_pfm(tmp_path / "out/map/depth.pfm"), true, rtol=1e-4)
     (row,) = json.loads((tmp_path / "out/report.json").read_text())["scenes"]
     assert row["baseline"] == pytest.approx(found.rig.baseline) and not row["warnings"]
-    refused(InputError, rf"{name}: describes a rectified pair", read_rig, [tmp_path / name])
+    reading = Reading(cameras=(0, 1) if "--cameras" in options else (2, 3))
+    refused(InputError, rf"{name}: describes a rectified pair", read_rig, [tmp_path / name], reading)
 
 
 def test_a_rectified_pair_has_rows_that_correspond_and_the_right_depth(pinhole: Shot, tmp_path: Path):
