@@ -27,10 +27,18 @@ from depthcli.io.scenes.find import matches_any, scenes_with_files
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.scenes.places import local
 from depthcli.problems.problem import DEPTH_FILES, SceneJob, Shown
-from depthcli.problems.results import PointCloud, check_limits, chosen_pixels, depth_of, empty_cloud, parse_mask
+from depthcli.problems.results import (
+    PointCloud,
+    check_limits,
+    chosen_pixels,
+    cloud_pixels,
+    depth_of,
+    empty_cloud,
+    mask_parts,
+)
 from depthcli.run.job import Outcome
 from depthcli.run.records import is_inside, read_json, read_report
-from depthcli.show.table import SIZE, Row, number, percent, share
+from depthcli.show.table import SIZE, Row, number, percent, share, size_of
 from depthcli.show.table import median as median_of
 from depthcli.show.view import STATUS_PALETTE
 
@@ -64,7 +72,7 @@ class ToDepth(SceneJob[DisparityScene]):
         if numbers != [None] * 3 and None in numbers[:2]:
             raise ConfigError("--focal and --baseline belong together (and --doffs, where the cameras have one)")
         check_limits(config["near"], config["far"])
-        parse_mask(config["mask"] or "all")
+        mask_parts(config["mask"] or "all")
 
     def files(self, scene: DisparityScene) -> dict[str, Path]:
         """Return role -> file for the map, its related files, and a calibration's second file."""
@@ -108,22 +116,19 @@ class ToDepth(SceneJob[DisparityScene]):
             image = read(read_image, scene.left)
         clock.start("depth")
         matched = DisparityMap(disparity, status)
+        bound = None if scene.bound is None else read(read_pfm, scene.bound)
         with naming(scene.folder):
             kept = chosen_pixels(matched, config["mask"] or "all", confidence)
             in_cloud = chosen_pixels(matched, config["mask"] or "measured", confidence)
-        bound = None if scene.bound is None else read(read_pfm, scene.bound)
-        depth = depth_of(matched, geometry, image, kept, bound)
-        in_cloud &= (depth.values >= config["near"]) & (depth.values <= (config["far"] or math.inf))
-        if config["max_bound"] is not None:
-            if depth.bound is None:
-                raise InputError(f"{scene.folder}: no bound.pfm for --max-bound; match with --bound")
-            in_cloud &= depth.bound <= config["max_bound"]
+            depth = depth_of(matched, geometry, image, kept, bound)
+            limits = config["near"], config["far"] or math.inf, config["max_bound"]
+            in_cloud = cloud_pixels(depth, depth.bound, in_cloud, *limits)
         clock.start("save")
         depth.save(folder, config["depth_scale"])
         valid = np.isfinite(depth.values)
         median = round(float(np.median(depth.values[valid])), 6) if valid.any() else None
         beyond, beyond_warning = beyond_png(depth.values, config["depth_scale"])
-        row: Row = {"width": width, "height": height, "density": share(valid)}
+        row: Row = {**size_of(disparity), "density": share(valid)}
         row |= {"median_depth": median, "focal": geometry.left.fx, "baseline": geometry.baseline}
         row |= {"doffs": geometry.offset, "beyond_png": round(beyond, 6)}
         if depth.bound is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -15,6 +16,7 @@ from pydantic import Field
 
 from depthcli.core.bound import DepthBound
 from depthcli.core.cameras.camera import Intrinsics, typical_intrinsics
+from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.context import Context
 from depthcli.core.frames import RgbdFrame, SparseFrame
 from depthcli.core.maps import DepthMap, Floats, without_smoothed
@@ -28,21 +30,23 @@ from depthcli.io.scenes.frames import FRAMES
 from depthcli.methods.kinect.bounds import DepthErrors
 from depthcli.methods.kinect.bounds import depth_bounds as kinect_bounds
 from depthcli.methods.transparent.bounds import KINDS, GlassErrors, glass_bounds
+from depthcli.methods.transparent.cross_modal import CrossModal
 from depthcli.problems.problem import Inputs, Problem
 from depthcli.problems.results import (
+    MASK,
     MapRepr,
     Pixels,
     PointCloud,
     check_limits,
-    chosen_pixels,
+    cloud_pixels,
     empty_cloud,
     made,
-    parse_mask,
     write_depth,
     write_details,
 )
 from depthcli.run.console import Reporter
 from depthcli.run.job import SceneT
+from depthcli.show.table import Row, median, share, size_of
 
 
 class DepthConfig(RootConfig):
@@ -56,7 +60,7 @@ class DepthConfig(RootConfig):
     )
     mask: str = Field(
         "measured",
-        pattern=r"^(all|measured|confident:[0-9.]+(:.+)?)$",
+        pattern=MASK,
         description="pixels of point clouds: measured, all, or confident:0.8, the surest 80 % of the measured",
     )
     near: float = Field(0.0, ge=0, description="points of clouds are no nearer, meters")
@@ -64,6 +68,11 @@ class DepthConfig(RootConfig):
     max_bound: float | None = Field(None, ge=0, description="largest bound of points of clouds, meters; null: any")
     ply: bool = Field(False, description="write a colored point cloud of every frame, too")
     bound: DepthBound = Field(DepthBound(), description="bound of the errors and probability of a small one")
+
+    @property
+    def camera(self) -> Intrinsics | None:
+        """The color camera, if it is given."""
+        return None if self.intrinsics is None else Intrinsics(*self.intrinsics)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,9 +122,7 @@ class RefinedDepth(MapRepr, DepthMap):
         if intrinsics is not None:
             camera = Intrinsics(*intrinsics)
             check_center("intrinsics", camera, self.values.shape)
-        chosen = chosen_pixels(self, mask)
-        chosen = chosen & (self.bound <= max_bound) if max_bound < math.inf else chosen
-        return PointCloud.of(self, camera, self.color, chosen, near, far)
+        return PointCloud.of(self, camera, self.color, cloud_pixels(self, self.bound, mask, near, far, max_bound))
 
     def save(self, folder: str | Path) -> None:
         """Write the same files as ``depthcli refine-kinect`` and ``transparent``; create the folder if needed."""
@@ -127,12 +134,24 @@ class RefinedDepth(MapRepr, DepthMap):
         write_details(self.details, files)
 
 
-InputsT = TypeVar("InputsT", bound=Inputs)
+@dataclass(frozen=True, eq=False)
+class FrameInputs(Inputs):
+    """A frame with the coding of its depth."""
+
+    frame: RgbdFrame | RgbIrFrame
+    scale: float = MILLIMETERS  # codes per meter of depth.png
+    rotate: int = 0  # bits by which the codes are rotated left
+    registered: str = ""  # how depth and color were registered here; empty: they already were
+    stereo: CrossModal | None = None  # matches color and infrared; None: nothing is to be matched
+    camera: Intrinsics | None = None  # the color camera, for a frame without one
+    warnings: Sequence[str] = ()
+
+
 ConfigT = TypeVar("ConfigT", bound=DepthConfig)
 
 
 @dataclass(frozen=True)
-class DepthProblem(Problem[SceneT, InputsT, RefinedDepth], Generic[SceneT, InputsT, ConfigT]):
+class DepthProblem(Problem[SceneT, FrameInputs, RefinedDepth], Generic[SceneT, ConfigT]):
     """Depth of sensors, refined; the commands differ in their inputs and methods."""
 
     rows = FRAMES
@@ -143,7 +162,6 @@ class DepthProblem(Problem[SceneT, InputsT, RefinedDepth], Generic[SceneT, Input
     def ready(cls, config: ConfigT) -> Self:
         """Return the problem. Raise ConfigError for wrong options of clouds, before any frame is opened."""
         check_limits(config.near, config.far)
-        parse_mask(config.mask)
         return cls(config)
 
     def units(self, scenes: Sequence[Any], reporter: Reporter) -> Sequence[SceneT]:
@@ -158,11 +176,11 @@ class DepthProblem(Problem[SceneT, InputsT, RefinedDepth], Generic[SceneT, Input
         return scenes
 
     def refined(
-        self, refine: Callable[[Any], DepthResult], frame: RgbdFrame, context: Context, scale: float, rotate: int
+        self, refine: Callable[[Any], DepthResult], frame: RgbdFrame, inputs: FrameInputs, context: Context
     ) -> RefinedDepth:
         """Return a frame's map refined, with its bound, and the pixels of its cloud if there is to be one.
 
-        The clock books the stages, and ``other``; ``scale`` and ``rotate`` are of the codes that are written.
+        The clock books the stages, and ``other``.
         """
         config, clock = self.config, context.clock
         clock.start("other")
@@ -170,28 +188,40 @@ class DepthProblem(Problem[SceneT, InputsT, RefinedDepth], Generic[SceneT, Input
         clock.include(result.seconds)
         clock.start("bound")
         bound, probability = depth_bounds(frame, result.depth, config.bound)
-        values = result.depth.values
-        _, beyond = beyond_png(values, scale)
+        values, status = result.depth.values, without_smoothed(result.depth.status)
+        _, beyond = beyond_png(values, inputs.scale)
+        warnings = (f"{beyond}; see depth_scale",) if beyond else ()
+        camera, coding = inputs.camera or frame.intrinsics, (inputs.scale, inputs.rotate)
+        seconds = dict(clock.seconds)
         depth = RefinedDepth(
-            values,
-            without_smoothed(result.depth.status),
-            frame,
-            frame.intrinsics,
-            bound,
-            probability,
-            result,
-            dict(clock.seconds),
-            scale,
-            rotate,
-            warnings=(f"{beyond}; see depth_scale",) if beyond else (),
+            values, status, frame, camera, bound, probability, result, seconds, *coding, None, warnings
         )
         if not config.ply:
             return depth
-        cloud = chosen_pixels(depth, config.mask, depth.confidence or {"bound": -bound})
-        cloud &= (values >= config.near) & (values <= config.far)
-        if config.max_bound is not None:
-            cloud &= bound <= config.max_bound
-        return replace(depth, cloud=cloud, warnings=(*depth.warnings, *empty_cloud(values, cloud)))
+        ranked = depth.confidence or {"bound": -bound}
+        cloud = cloud_pixels(depth, bound, config.mask, config.near, config.far, config.max_bound, ranked)
+        return replace(depth, cloud=cloud, warnings=(*warnings, *empty_cloud(values, cloud)))
+
+    def row(self, inputs: FrameInputs, result: RefinedDepth) -> Row:
+        """Return size, shares of pixels by status, the bound, and figures of the method."""
+        row: Row = {
+            **size_of(result.values),
+            "known": share(np.isfinite(result.frame.depth)),
+            **self.shares(result),
+            "density": share(result.valid),
+            "median_bound": median(result.bound),
+            **{name: float(value) for name, value in result.details.figures.items()},
+            **result.details.words,
+        }
+        if inputs.registered:
+            row["registered"] = inputs.registered
+        if result.cloud is not None:
+            row["intrinsics"] = "of the camera" if result.camera else "typical"
+        return row
+
+    @abstractmethod
+    def shares(self, result: RefinedDepth) -> Row:
+        """Return the shares of pixels by status."""
 
 
 @cache

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias, cast
@@ -31,13 +31,13 @@ from depthcli.io.rgbd_frames import check_center, frame_size, load_frame
 from depthcli.io.scenes import RgbdScene, Scene, SequenceScene, sequences
 from depthcli.methods.kinect.bounds import BYTES_PER_PIXEL
 from depthcli.methods.kinect.pipeline import Pipeline, SequencePipeline, frame_by_frame
-from depthcli.problems.frames import DepthConfig, DepthProblem, RefinedDepth
+from depthcli.problems.frames import DepthConfig, DepthProblem, FrameInputs, RefinedDepth
 from depthcli.problems.inputs import Overrides, as_color8, as_depth, load_config
 from depthcli.problems.problem import DEPTH_FILES, Shown
 from depthcli.run.console import Reporter
 from depthcli.run.job import Outcome
 from depthcli.run.resources import available_memory, check_memory
-from depthcli.show.table import SIZE, Row, median, number, percent, share
+from depthcli.show.table import SIZE, Row, number, percent, share
 from depthcli.show.view import DEPTH_STATUS_PALETTE
 
 Image = NDArray[Any]
@@ -56,22 +56,8 @@ class RefineKinectConfig(DepthConfig):
         return max(self.pipeline.peak_bytes(shape), BYTES_PER_PIXEL * shape[0] * shape[1])
 
 
-@dataclass(frozen=True, eq=False)
-class FrameInputs:
-    """A frame with the coding of its depth."""
-
-    frame: RgbdFrame
-    scale: float  # codes per meter of depth.png
-    rotate: int = 0  # bits by which the codes are rotated left
-    registered: str = ""  # how depth and color were registered here; empty: they already were
-    warnings: Sequence[str] = ()
-
-    saving: ClassVar[Mapping[str, Any]] = {}
-    later: ClassVar[Callable[[Path], None] | None] = None
-
-
 @dataclass(frozen=True)
-class RefineKinect(DepthProblem[FrameOrSequence, FrameInputs, RefineKinectConfig]):
+class RefineKinect(DepthProblem[FrameOrSequence, RefineKinectConfig]):
     """Refine single frames, or the frames of sequences in order."""
 
     command = "refine-kinect"
@@ -152,36 +138,22 @@ class RefineKinect(DepthProblem[FrameOrSequence, FrameInputs, RefineKinectConfig
         if frame.interpolated or scene.depth_intrinsics is not None:
             way = "by both cameras" if scene.depth_intrinsics else "assumed"
         warnings = [] if scene.raw else _scale_warnings(scene, frame)
-        return FrameInputs(frame, scene.depth_scale or MILLIMETERS, 3 if scene.rotated else 0, way, warnings)
+        coding = scene.depth_scale or MILLIMETERS, 3 if scene.rotated else 0
+        return FrameInputs(frame, *coding, way, warnings=warnings)
 
     def solve(self, inputs: FrameInputs, context: Context) -> RefinedDepth:
         """Refine the frame and select the pixels of its cloud. Raise InputError if there is not enough memory."""
         config, frame = self.config, inputs.frame
+        assert isinstance(frame, RgbdFrame)
         height, width = frame.shape
         check_memory(config.peak_bytes(frame.shape), context.memory, f"{width} x {height} pixels")
-        return self.refined(self.step or config.pipeline, frame, context, inputs.scale, inputs.rotate)
+        return self.refined(self.step or config.pipeline, frame, inputs, context)
 
-    def row(self, inputs: FrameInputs, result: RefinedDepth) -> Row:
-        """Return size, shares of pixels by status, the bound, and figures of the method."""
+    def shares(self, result: RefinedDepth) -> Row:
+        """Return the shares of pixels that were kept, filled or corrected, and of each reason."""
         bits = [bit for bit in DEPTH_STATUS_HELP if bit not in (DepthStatus.KEPT, DepthStatus.SAMPLED)]
-        row: Row = {
-            "width": inputs.frame.shape[1],
-            "height": inputs.frame.shape[0],
-            "known": share(np.isfinite(inputs.frame.depth)),
-            "kept": share(result.kept),
-            "filled": share(result.filled),
-            "corrected": share(result.corrected),
-            **{str(bit.name).lower(): share((result.status & bit) != 0) for bit in bits},
-            "density": share(result.valid),
-            "median_bound": median(result.bound),
-            **{name: float(value) for name, value in result.details.figures.items()},
-            **result.details.words,
-        }
-        if inputs.registered:
-            row["registered"] = inputs.registered
-        if result.cloud is not None:
-            row["intrinsics"] = "of the camera" if inputs.frame.intrinsics else "typical"
-        return row
+        row = {name: share(getattr(result, name)) for name in ("kept", "filled", "corrected")}
+        return row | {str(bit.name).lower(): share((result.status & bit) != 0) for bit in bits}
 
 
 def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
@@ -274,7 +246,7 @@ def refine_depth(
             measured = as_depth(one_depth, f"{where}depth", config.depth_scale)
             image = None if one_color is None else as_color8(one_color, f"{where}color")
             height, width = measured.shape if image is None else image.shape[:2]
-            camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
+            camera = config.camera
             check_center(f"{where}intrinsics", camera, (height, width))
             check_center(f"{where}depth_intrinsics", depth_camera, measured.shape)
         if results and (height, width) != results[0].values.shape:

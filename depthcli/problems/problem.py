@@ -71,31 +71,25 @@ def check_keep(job: SceneJob[Any], keep: Sequence[str]) -> None:
             raise ConfigError(f"--keep {pattern}: no file of {job.command} has that name; it writes {names}")
 
 
-class Inputs(Protocol):
+class Inputs:
     """The inputs of a problem, from files or arrays."""
 
-    @property
-    def warnings(self) -> Sequence[str]:
-        """Warnings about the inputs, one line each."""
-
-    @property
-    def saving(self) -> Mapping[str, Any]:
-        """Arguments for the result's ``save``."""
-
-    @property
-    def later(self) -> Callable[[Path], None] | None:
-        """A function that writes further files while the problem is solved, or None."""
+    warnings: Sequence[str] = ()
+    """Warnings about the inputs, one line each."""
+    saving: Mapping[str, Any] = {}
+    """Arguments for the result's ``save``."""
+    later: Callable[[Path], None] | None = None
+    """A function that writes further files while the problem is solved."""
 
 
 class Solution(Protocol):
-    """The result of a problem."""
+    """The result of a problem; ``save`` writes its files."""
 
     @property
     def warnings(self) -> Sequence[str]:
         """Warnings about the result, one line each."""
 
-    def save(self, folder: str | Path) -> None:
-        """Write the files of the result."""
+    def save(self, folder: str | Path) -> None: ...
 
 
 InputsT = TypeVar("InputsT", bound=Inputs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -30,6 +31,8 @@ from depthcli.show.view import View, draw
 
 Pixels = str | NDArray[np.bool_]
 """Name of a selection of pixels, or (H, W) bool."""
+MASK = r"^(?:(all|measured)|confident:(0?\.0*[1-9][0-9]*|1(?:\.0*)?)(?::(.+))?)$"
+"""Pattern of the names."""
 
 
 def made(folder: Path | str) -> Path:
@@ -88,16 +91,10 @@ def write_details(result: Result, folder: Path) -> None:
             write_png(folder / f"{name}.png", picture)
 
 
-def parse_mask(text: str) -> tuple[str, float, str]:
+def mask_parts(text: str) -> tuple[str, float, str]:
     """Return kind, share and name of a mask for :func:`chosen_pixels`. Raise ConfigError for other texts."""
-    kind, _, rest = text.partition(":")
-    share, _, name = rest.partition(":")
-    try:
-        number = float(share or "nan")
-    except ValueError:
-        number = -1.0
-    if (kind in ("measured", "all") and not rest) or (kind == "confident" and 0 < number <= 1):
-        return kind, number, name
+    if match := re.match(MASK, text):
+        return match[1] or "confident", float(match[2] or 1), match[3] or ""
     raise ConfigError(f"mask: must be measured, all, or confident:0.8 (got {text!r})")
 
 
@@ -114,7 +111,7 @@ def chosen_pixels(
         if np.shape(mask) != found.values.shape or np.asarray(mask).dtype != np.bool_:
             raise InputError(f"mask: expected bool of shape {found.values.shape}, got {np.shape(mask)}")
         return mask
-    kind, share, name = parse_mask(mask)
+    kind, share, name = mask_parts(mask)
     measured = found.measured
     if kind != "confident":
         return measured if kind == "measured" else found.valid
@@ -132,6 +129,27 @@ def check_limits(near: float, far: float | None) -> None:
     """Raise ConfigError if no depth is between ``--near`` and ``--far``, meters; ``far`` None is no limit."""
     if far is not None and near >= far:
         raise ConfigError(f"--near {near:g}, --far {far:g}: no depth lies between them")
+
+
+def cloud_pixels(
+    found: MatchedMap | DepthMap,
+    bound: NDArray[np.float32] | None,
+    mask: Pixels,
+    near: float = 0.0,
+    far: float = math.inf,
+    max_bound: float | None = None,
+    confidence: Mapping[str, NDArray[np.float32]] | None = None,
+) -> NDArray[np.bool_]:
+    """Return the pixels that become points, (H, W) bool: those of a mask from ``near`` to ``far`` meters.
+
+    If ``max_bound`` is given, they have a bound of at most ``max_bound`` meters. Raise ConfigError if the map has none.
+    """
+    chosen = chosen_pixels(found, mask, confidence) & (found.values >= near) & (found.values <= far)
+    if max_bound is None or max_bound == math.inf:
+        return chosen
+    if bound is None:
+        raise ConfigError("max_bound: the map has no bound; match with --bound, or bound=True")
+    return chosen & (bound <= max_bound)
 
 
 def empty_cloud(depth: NDArray[np.float32], cloud: NDArray[np.bool_]) -> list[str]:
@@ -215,12 +233,7 @@ class Depth(MapRepr, MatchedMap):
         The mask is ``measured``, ``all``, or (H, W) bool. Points with a ``bound`` above ``max_bound`` meters are left
         out. Raise ConfigError for ``max_bound`` without a bound.
         """
-        chosen = chosen_pixels(self, mask)
-        if max_bound < math.inf:
-            if self.bound is None:
-                raise ConfigError("max_bound: the map has no bound; compute it with bound=True")
-            chosen = chosen & (self.bound <= max_bound)
-        return PointCloud.of(self, self.camera, self.left, chosen, near, far)
+        return PointCloud.of(self, self.camera, self.left, cloud_pixels(self, self.bound, mask, near, far, max_bound))
 
     def save(self, folder: str | Path, scale: float = MILLIMETERS) -> None:
         """Write the same files as ``depthcli depth``, with ``scale`` codes per meter; create the folder if needed.

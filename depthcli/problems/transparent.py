@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -32,11 +32,11 @@ from depthcli.io.rgbd_frames import (
 from depthcli.io.scenes import RgbdScene, RgbIrScene
 from depthcli.methods.transparent.cross_modal import CrossModal
 from depthcli.methods.transparent.pipeline import Pipeline
-from depthcli.problems.frames import DepthConfig, DepthProblem, RefinedDepth
+from depthcli.problems.frames import DepthConfig, DepthProblem, FrameInputs, RefinedDepth
 from depthcli.problems.inputs import Overrides, as_color8, as_depth, as_image, as_map, load_config
 from depthcli.problems.problem import DEPTH_FILES, Shown
 from depthcli.run.resources import available_memory, check_memory
-from depthcli.show.table import SIZE, Row, median, number, percent, share
+from depthcli.show.table import SIZE, Row, number, percent, share
 from depthcli.show.view import DEPTH_STATUS_PALETTE
 
 Image = NDArray[Any]
@@ -53,23 +53,8 @@ class TransparentConfig(DepthConfig):
     )
 
 
-@dataclass(frozen=True, eq=False)
-class GlassInputs:
-    """A frame with sparse depth, a mask of objects, or an infrared image to match."""
-
-    frame: SparseFrame | RgbIrFrame
-    stereo: CrossModal | None  # matches color and infrared; None: the frame has sparse depth or a mask
-    camera: Intrinsics | None  # of the color image
-    scale: float  # codes per meter of depth.png
-    rotate: int = 0  # bits by which the codes are rotated left
-
-    saving: ClassVar[Mapping[str, Any]] = {}
-    later: ClassVar[Callable[[Path], None] | None] = None
-    warnings: ClassVar[Sequence[str]] = ()
-
-
 @dataclass(frozen=True)
-class Transparent(DepthProblem[RgbdScene, GlassInputs, TransparentConfig]):
+class Transparent(DepthProblem[RgbdScene, TransparentConfig]):
     """Compute dense depth of frames with transparent objects."""
 
     command = "transparent"
@@ -114,11 +99,8 @@ class Transparent(DepthProblem[RgbdScene, GlassInputs, TransparentConfig]):
 
     def settings(self, scene: RgbdScene) -> dict[str, str]:
         """Return the scale of the depth, and the largest disparity of the color and infrared images."""
-        scale, max_disparity = (
-            scene.with_scale(self.config.depth_scale).depth_scale,
-            getattr(scene, "max_disparity", None),
-        )
-        found = {"depth_scale": str(scale or MILLIMETERS), "max_disparity": str(max_disparity)}
+        scale, top = scene.with_scale(self.config.depth_scale).depth_scale, getattr(scene, "max_disparity", None)
+        found = {"depth_scale": str(scale or MILLIMETERS), "max_disparity": str(top)}
         return found | ({"camera": str(scene.intrinsics)} if self.config.ply else {})
 
     def memory(self, scene: RgbdScene) -> int:
@@ -129,7 +111,7 @@ class Transparent(DepthProblem[RgbdScene, GlassInputs, TransparentConfig]):
         """Return the estimate, or None if color and infrared are matched."""
         return self.memory(scene) if self.config.stereo is None else None
 
-    def load(self, scene: RgbdScene, context: Context) -> GlassInputs:
+    def load(self, scene: RgbdScene, context: Context) -> FrameInputs:
         """Return a scene's frame with its sparse depth, mask of objects, or infrared image."""
         context.clock.start("load")
         config, stereo = self.config, self.config.stereo
@@ -147,9 +129,10 @@ class Transparent(DepthProblem[RgbdScene, GlassInputs, TransparentConfig]):
             if stereo.max_disparity is None and scene.max_disparity is not None:
                 stereo = stereo.model_copy(update={"max_disparity": scene.max_disparity})
         camera = None if intrinsics is None else Intrinsics(*intrinsics)
-        return GlassInputs(frame, stereo, camera, scene.depth_scale or MILLIMETERS, 3 if scene.rotated else 0)
+        coding = scene.depth_scale or MILLIMETERS, 3 if scene.rotated else 0
+        return FrameInputs(frame, *coding, stereo=stereo, camera=camera)
 
-    def solve(self, inputs: GlassInputs, context: Context) -> RefinedDepth:
+    def solve(self, inputs: FrameInputs, context: Context) -> RefinedDepth:
         """Match color and infrared if the config has stereo, and complete the frame.
 
         Raise InputError if there is not enough memory.
@@ -159,10 +142,11 @@ class Transparent(DepthProblem[RgbdScene, GlassInputs, TransparentConfig]):
         need = max(part.peak_bytes(shape) for part in (config.pipeline, stereo) if part is not None)
         check_memory(need, context.memory, f"{shape[1]} x {shape[0]} pixels")
         figures: dict[str, float] | None = None
-        if not isinstance(frame, SparseFrame):
+        if isinstance(frame, RgbIrFrame):
             assert stereo is not None
             frame, figures = stereo(frame, context.clock)
-        depth = self.refined(config.pipeline, frame, context, inputs.scale, inputs.rotate)
+        assert isinstance(frame, SparseFrame)
+        depth = self.refined(config.pipeline, frame, inputs, context)
         if figures is not None:
             with np.errstate(invalid="ignore"):
                 codes = np.nan_to_num(np.rint(frame.sparse * inputs.scale), nan=0.0)
@@ -170,32 +154,21 @@ class Transparent(DepthProblem[RgbdScene, GlassInputs, TransparentConfig]):
             depth.details.pictures["stereo"] = np.where(codes <= 65535, codes, 0).astype(np.uint16)
             if frame.sparse_confidence is not None:
                 depth.details.confidence["stereo"] = frame.sparse_confidence
-        warnings = depth.warnings
-        if frame.objects is not None:
-            text = "inside the mask is the depth of the surroundings, not of the objects: nothing measured it"
-            warnings = (text, *warnings)
-        return replace(depth, camera=inputs.camera or depth.camera, warnings=warnings)
+        if frame.objects is None:
+            return depth
+        text = "inside the mask is the depth of the surroundings, not of the objects: nothing measured it"
+        return replace(depth, warnings=(text, *depth.warnings))
 
-    def row(self, inputs: GlassInputs, result: RefinedDepth) -> Row:
-        """Return size, shares of pixels by source of depth, the bound, and figures of the method."""
-        frame = result.frame
-        assert isinstance(frame, SparseFrame)
-        row: Row = {
-            "width": frame.shape[1],
-            "height": frame.shape[0],
-            "known": share(np.isfinite(frame.depth)),
-            "sparse": share(np.isfinite(frame.sparse)),
+    def shares(self, result: RefinedDepth) -> Row:
+        """Return the shares of pixels by source of depth."""
+        assert isinstance(result.frame, SparseFrame)
+        return {
+            "sparse": share(np.isfinite(result.frame.sparse)),
             "kept": share(result.kept),
             "filled": share((result.status & DepthStatus.GAP_FILLED) != 0),
             "replaced": share(result.corrected),
             "from_stereo": share((result.status & DepthStatus.SAMPLED) != 0),
-            "density": share(result.valid),
-            "median_bound": median(result.bound),
-            **{name: float(value) for name, value in result.details.figures.items()},
         }
-        if result.cloud is not None:
-            row["intrinsics"] = "of the camera" if inputs.camera else "typical"
-        return row
 
 
 def complete_transparent(
@@ -255,7 +228,7 @@ def complete_transparent(
         second = None
         if sparse is not None and not config.stereo:
             second = as_depth(sparse, "sparse", config.depth_scale, measured.shape, floats)
-        camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
+        camera = config.camera
         check_center("intrinsics", camera, measured.shape)
     frame: SparseFrame | RgbIrFrame
     if config.stereo is None and config.pipeline.needs == "objects":
@@ -286,6 +259,6 @@ def complete_transparent(
         if rig is None and grey.shape != measured.shape:
             raise InputError("infrared: a rectified pair has one size")
         frame = RgbIrFrame(image, grey, measured, rig, fb or 1.0)
-    inputs = GlassInputs(frame, config.stereo, camera, scale)
+    inputs = FrameInputs(frame, scale, stereo=config.stereo, camera=camera)
     completed = Transparent(config).solve(inputs, Context(available_memory()))
     return replace(completed, warnings=(*lines, *completed.warnings))

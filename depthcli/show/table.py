@@ -81,6 +81,11 @@ SECONDS = Column("seconds", lambda row: f"{s:.2f}" if (s := math.fsum(row.get("s
 SIZE = Column("size", lambda row: f"{row['width']}x{row['height']}" if "width" in row else "-")
 
 
+def size_of(image: Any) -> Row:
+    """Return the report's columns about the size of an image or map (H, W, ...), pixels."""
+    return {"width": image.shape[1], "height": image.shape[0]}
+
+
 @dataclass(frozen=True)
 class Table:
     """A table: each column makes one cell of each row."""
