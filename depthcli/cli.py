@@ -27,7 +27,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from depthcli import __version__, commands
-from depthcli.core.errors import SOME_FAILED, ConfigError, DepthcliError, IncompleteError, Terminated, shortage
+from depthcli.core.errors import RESUME, SOME_FAILED, ConfigError, DepthcliError, IncompleteError, Terminated, shortage
 from depthcli.core.plugins import load_plugin, plugin_behind
 from depthcli.run.console import Reporter, silence_warnings
 
@@ -154,8 +154,14 @@ def main(arguments: list[str] | None = None) -> int:
     silence_warnings()
     with contextlib.suppress(ValueError):  # not the main thread
         signal.signal(signal.SIGTERM, _terminate)
-    said = _Once()
-    logging.getLogger("depthcli").addFilter(said)
+    said = set[str]()
+
+    def is_new(record: logging.LogRecord) -> bool:  # each warning of a call is printed once
+        text, n_before = record.getMessage(), len(said)
+        said.add(text)
+        return len(said) > n_before
+
+    logging.getLogger("depthcli").addFilter(is_new)
     try:
         _check_words(words)
         _load_plugins(words)
@@ -169,14 +175,11 @@ def main(arguments: list[str] | None = None) -> int:
     except DepthcliError as error:  # several lines are a config's problems, each with its place
         _print_error(f"depthcli: {error}" if "\n" not in str(error) else str(error))
         return 2
-    except Terminated:
+    except (KeyboardInterrupt, typer.Abort, Terminated) as error:
         logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # it tells of every download that is left
-        _print_error("depthcli: terminated; the same command goes on where it stopped")
-        return 143
-    except (KeyboardInterrupt, typer.Abort):
-        logging.getLogger("asyncio").setLevel(logging.CRITICAL)
-        _print_error("depthcli: interrupted; the same command goes on where it stopped")
-        return 130
+        is_terminated = isinstance(error, Terminated)
+        _print_error(f"depthcli: {'terminated' if is_terminated else 'interrupted'}; {RESUME}")
+        return 143 if is_terminated else 130
     except BaseException as error:
         if getattr(error, "exit_code", None) == 2 and hasattr(error, "show"):  # wrong usage; typer prints it
             with contextlib.suppress(OSError):
@@ -201,27 +204,13 @@ def main(arguments: list[str] | None = None) -> int:
         _print_error("depthcli: this is a bug, not something you did; please report the lines above")
         return 1
     finally:
-        logging.getLogger("depthcli").removeFilter(said)
+        logging.getLogger("depthcli").removeFilter(is_new)
         with contextlib.suppress(OSError, ValueError):
             sys.stdout.flush()
         try:
             sys.stderr.flush()
         except (OSError, ValueError):  # otherwise the interpreter's last flush would change the exit code
             Reporter.close(sys.stderr)
-
-
-class _Once(logging.Filter):
-    """Pass each warning of a call only once."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._said: set[str] = set()
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        text = record.getMessage()
-        is_new = text not in self._said
-        self._said.add(text)
-        return is_new
 
 
 def _check_words(words: Sequence[str]) -> None:

@@ -6,6 +6,7 @@ become options.
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import re
@@ -57,8 +58,8 @@ WithinOption: TypeAlias = Annotated[
 LevelOption: TypeAlias = Annotated[
     float, Option(metavar="P", min=0.5, max=0.99, help="Share of the errors that are not larger than bound.pfm.")
 ]
-BoundOption: TypeAlias = Annotated[
-    bool, Option("--bound", help="Also write bound.pfm, which 90 % of the errors do not exceed, and probability.pfm.")
+HtmlBudgetOption: TypeAlias = Annotated[
+    str, Option(metavar="SIZE", help="Size of its pictures beyond which they are scaled down.")
 ]
 HtmlOption: TypeAlias = Annotated[bool, Option("--html", help="Also write evaluation/report.html.")]
 FlagOption: TypeAlias = Annotated[
@@ -164,6 +165,16 @@ class CalibrationOptions:
         None, metavar="SHARE", min=0, max=1, help="0: keep only what both images show; 1: keep all. Default: 0."
     )
 
+    def settings(self) -> dict[str, Any]:
+        """Return config key -> YAML text, None if not given."""
+        return {
+            "calibration": json.dumps(list(map(str, self.calibration))) if self.calibration else None,
+            "calibration.fisheye": self.fisheye or None,
+            "calibration.alpha": self.alpha,
+            "calibration.unit": self.unit and json.dumps(self.unit),
+            "calibration.cameras": self.cameras and f"[{self.cameras}]",
+        }
+
 
 @dataclass(frozen=True, kw_only=True)
 class RangeOptions(CalibrationOptions, PairOptions):
@@ -171,6 +182,25 @@ class RangeOptions(CalibrationOptions, PairOptions):
 
     max_disparity: MaxDisparityOption = None
     min_disparity: str | None = option(None, metavar="N", help="Smallest disparity searched, or auto. Default: 0.")
+
+    def settings(self) -> dict[str, Any]:
+        """Return config key -> YAML text, None if not given."""
+        return super().settings() | {"max_disparity": self.max_disparity, "min_disparity": self.min_disparity}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoundOptions:
+    """Error bounds of maps, and requirements on them."""
+
+    bound: bool = option(
+        False, "--bound", help="Also write bound.pfm, which 90 % of the errors do not exceed, and probability.pfm."
+    )
+    level: LevelOption = 0.9
+    within: WithinOption = 1.0
+
+    def promise(self) -> dict[str, float] | None:
+        """Return the requirements, or None without ``--bound``."""
+        return {"level": self.level, "within": self.within} if self.bound else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,9 +210,7 @@ class CodingOptions:
     pattern: list[str] | None = option(
         None, metavar="PATTERN", help="Path of a map, '{scene}/a.tiff'. Of one run: NAME=..."
     )
-    scale: list[str] | None = option(
-        None, metavar="CODES", help="Codes per pixel of integer maps. Of one run: NAME=..."
-    )
+    scale: list[str] | None = option(None, metavar="CODES", help="Codes per unit of integer maps. Of one run: NAME=...")
     invalid: list[str] | None = option(
         None, metavar="VALUE", help="Value of maps that means none, or nan. Of one run: NAME=..."
     )

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
@@ -14,7 +12,6 @@ from depthcli.commands._options import (
     NOWHERE,
     CodingOptions,
     PairOptions,
-    RangeOptions,
     RunOptions,
     SceneOptions,
     TableOptions,
@@ -30,11 +27,9 @@ from depthcli.io.scenes.places import local
 from depthcli.io.scenes.rows import Layouts
 from depthcli.problems.given_maps import GivenMaps, with_maps
 from depthcli.problems.problem import SceneJob, check_keep
-from depthcli.problems.rectified import reading_fields
-from depthcli.problems.stereo import PairConfig, with_reading
 from depthcli.run.flags import Flags, flag_rows
 from depthcli.run.folder import EVALUATION, LEGEND_FILE, check_folder, refusal
-from depthcli.run.job import Execution, SceneT
+from depthcli.run.job import SceneT
 from depthcli.run.records import read_record, report_document
 from depthcli.run.runner import Plan, run_scenes
 from depthcli.run.scene import BUG
@@ -74,15 +69,7 @@ def prepared(
 ) -> tuple[SceneJob[Any], Sequence[Any]]:
     """Return a command's problem with its config, and its scenes; parameters are as for ``run_problem``."""
     problem = problems.load(command)
-    if isinstance(source, RangeOptions):
-        options |= {"max_disparity": source.max_disparity, "min_disparity": source.min_disparity}
-        files = list(map(str, source.calibration or ()))
-        options["calibration"] = files[0] if len(files) == 1 else json.dumps(files) if files else None
-    checked = config_with_options(problem.model, config, settings, options)
-    if isinstance(checked, PairConfig) and isinstance(source, RangeOptions):
-        fields = reading_fields(source.unit, source.fisheye, source.cameras, source.alpha)
-        checked = with_reading(checked, fields) if fields else checked
-    job = problem.ready(checked)
+    job = problem.ready(config_with_options(problem.model, config, settings, options))
     return job, job.units(adapted(find_scenes(problem.rows, source, run)), run.reporter)
 
 
@@ -127,13 +114,13 @@ def run_job(
     reporter, how = options.reporter, options.execution
     check_keep(job, how.keep)
     if options.dry_run:
-        plan = plan_of(job, scenes, options.output, how)
+        planned = Plan(job, scenes, options.output, how)
+        plan = plan_of(planned)
         if options.json:
             reporter.data(to_json(plan))
         else:
             reporter.info(_plan_text(plan, job.config))
         if options.output != NOWHERE:
-            planned = Plan(job, scenes, options.output, how)
             planned.check_names()
             check_folder(options.output, planned.text, how.overwrite)
         if options.json:
@@ -193,17 +180,17 @@ def _print_results(
         reporter.data(flags.text())
 
 
-def plan_of(job: SceneJob[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution) -> Row:
+def plan_of(planned: Plan) -> Row:
     """Return the plan of a run: its config, the reason if it would reject the folder, and a row for every scene.
 
     A row has ``scene``, ``status`` (``DONE``, ``TO_DO`` or ``BROKEN``), ``memory`` (bytes or None) and ``problem``.
     """
-    planned, rows = Plan(job, scenes, output, how), []
+    job, output, rows = planned.work.job, planned.output, []
     for scene in planned.scenes:
         row: Row = {"scene": scene.name, "status": BROKEN, "memory": None, "problem": scene.problem}
         if not scene.problem:
-            task, known = planned.task(scene, 0), read_record(output / scene.name)
-            row["status"] = DONE if known is not None and task.is_done(known) else TO_DO
+            task = planned.task(scene, 0)
+            row["status"] = DONE if task.is_done(read_record(task.target)) else TO_DO
             try:
                 need = job.memory(scene)
                 row["memory"] = None if need is None else BASE_BYTES + need

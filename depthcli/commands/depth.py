@@ -33,7 +33,7 @@ def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     from depthcli.io.scenes.pairs import PAIRS
     from depthcli.io.scenes.places import local
     from depthcli.problems.depth import ToDepth, find_maps
-    from depthcli.problems.rectified import calibration_of, reading_fields
+    from depthcli.problems.rectified import calibration_of
 
     numbers = {name: getattr(maps, name) for name in ("focal", "baseline", "doffs")}
     given = [name for name, value in numbers.items() if value is not None]
@@ -42,11 +42,13 @@ def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     coding: dict[str, Any] = {name: v for name in ("scale", "invalid") if (v := getattr(maps, name)) is not None}
     if coding and not os.path.isfile(local(maps.run)):
         raise ConfigError(f"--{next(iter(coding))} belongs to a single map; maps of a run are in pixels")
-    fields = reading_fields(maps.unit, maps.fisheye, maps.cameras, maps.alpha)
+    files, settings = maps.calibration or [], {"calibration": "of the images"}
+    settings |= {key: value for key, value in maps.settings().items() if value is not None}
+    reading = calibration_of(settings)
+    names = [key.partition(".")[2] for key in settings if "." in key]
+    fields = {name: getattr(reading, name) for name in names}
     if given and fields:
         raise ConfigError(f"--{next(iter(fields))} and --{given[0]} exclude each other")
-    files = maps.calibration or []
-    calibration_of(files, {})
     coding |= {name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()}
     coding |= {"second_calibration": str(files[1].absolute())} if len(files) == 2 else {}
     job = ToDepth(numbers | vars(clouds) | coding)

@@ -18,8 +18,10 @@ from typing import Annotated
 from typer import Argument, Option
 
 from depthcli.commands._options import (
+    CodingOptions,
     FailFlaggedOption,
     FlagOption,
+    HtmlBudgetOption,
     LayoutOption,
     Printing,
     ScenesOption,
@@ -46,16 +48,9 @@ def evaluate(
         str | None,
         Option(metavar="NAME", help="How to score, such as kitti-2015. Default: by data set."),
     ] = None,
-    pattern: Annotated[
-        list[str] | None, Option(metavar="PATTERN", help="Path of a map, '{scene}/a.tiff'. Of one run: NAME=...")
-    ] = None,
+    *,
+    coding: CodingOptions,
     maps: Annotated[list[str] | None, Option(hidden=True)] = None,  # old name of --pattern
-    scale: Annotated[
-        list[str] | None, Option(metavar="CODES", help="Codes per unit of integer files. Of one run: NAME=...")
-    ] = None,
-    invalid: Annotated[
-        list[str] | None, Option(metavar="VALUE", help="Value that means none, or nan. Of one run: NAME=...")
-    ] = None,
     resolution: Annotated[
         str | None, Option(metavar="F|H|Q", help="Size of Middlebury v3's truth. Default: by the width.")
     ] = None,
@@ -69,9 +64,7 @@ def evaluate(
     flag: FlagOption = None,
     fail_flagged: FailFlaggedOption = False,
     html: Annotated[bool, Option("--html", help="Also write report.html: maps and errors in a browser.")] = False,
-    html_budget: Annotated[
-        str, Option(metavar="SIZE", help="Size of its pictures beyond which they are scaled down.")
-    ] = "50MB",
+    html_budget: HtmlBudgetOption = "50MB",
 ) -> int:
     """Evaluate, print the tables, and return the exit code."""
     from depthcli.commands._scores import check_tables, print_place, print_tables, viewers
@@ -84,7 +77,8 @@ def evaluate(
     reporter, places = printing.reporter, find_runs(runs)
     if maps:
         reporter.info("warning: --maps is called --pattern here, as in all commands")
-    of_all, own = given_naming(places, "--pattern", [*(pattern or []), *(maps or [])], scale, invalid)
+    patterns = [*(coding.pattern or []), *(maps or [])]
+    of_all, own = given_naming(places, "--pattern", patterns, coding.scale, coding.invalid)
     check_tables(tables)
     if compare not in ("best", "all"):
         raise ConfigError(f"--compare: must be best or all (got {compare!r})")

@@ -19,4 +19,4 @@ def rectify(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> int:
     from depthcli.io.scenes.pairs import PAIRS
     from depthcli.problems.rectify import rectifier
 
-    return run_job(rectifier(**vars(how)), find_scenes(PAIRS, pairs, run), run, pairs)
+    return run_job(rectifier(how.uncalibrated, how.settings()), find_scenes(PAIRS, pairs, run), run, pairs)

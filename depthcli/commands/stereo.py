@@ -14,13 +14,11 @@ import typer
 from typer import Option
 
 from depthcli.commands._options import (
-    BoundOption,
+    BoundOptions,
     ConfigArgument,
-    LevelOption,
     RangeOptions,
     ScoredRunOptions,
     SetOption,
-    WithinOption,
 )
 from depthcli.run.console import Reporter
 from depthcli.show.table import aligned
@@ -52,9 +50,8 @@ def stereo(
     pairs: RangeOptions,
     run: ScoredRunOptions,
     set: SetOption = None,
-    bound: BoundOption = False,
-    level: LevelOption = 0.9,
-    within: WithinOption = 1.0,
+    *,
+    bounds: BoundOptions,
     device: Annotated[
         str | None,
         Option(
@@ -70,5 +67,5 @@ def stereo(
     """Match every pair with the configured pipeline, on the CPU or a device."""
     from depthcli.commands._run import run_problem
 
-    promise = {"level": level, "within": within} if bound else None
-    return run_problem("stereo", config, pairs, run, set, device=device, bound=promise)
+    options = pairs.settings() | {"device": device, "bound": bounds.promise()}
+    return run_problem("stereo", config, pairs, run, set, **options)

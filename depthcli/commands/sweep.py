@@ -18,6 +18,7 @@ from typer import Option
 
 from depthcli.commands._options import (
     ConfigArgument,
+    HtmlBudgetOption,
     HtmlOption,
     LayoutOption,
     RunOptions,
@@ -37,7 +38,7 @@ _RUNS = "runs"  # folder with one run folder per combination
 _TABLES = ("sweep.json", "sweep.csv")
 
 
-class _Run(NamedTuple):
+class _Trial(NamedTuple):
     values: Combination
     options: RunOptions
     job: SceneJob[Any]
@@ -56,9 +57,7 @@ def sweep(
     scenes: ScenesOption = None,
     set: SetOption = None,
     html: HtmlOption = False,
-    html_budget: Annotated[
-        str, Option(metavar="SIZE", help="Size of its pictures beyond which they are scaled down.")
-    ] = "50MB",
+    html_budget: HtmlBudgetOption = "50MB",
 ) -> int:
     """Run every combination, evaluate all runs, and print the ranked runs and the effect of every key."""
     from depthcli.commands._run import run_job
@@ -135,17 +134,17 @@ def _runs_of(
     chosen: Sequence[Combination],
     source: SceneOptions,
     options: RunOptions,
-) -> tuple[dict[str, _Run], str]:
+) -> tuple[dict[str, _Trial], str]:
     """Return name -> run, and the name of the run with the config's own values, or an empty text."""
     from depthcli.commands._run import prepared
     from depthcli.evaluation.sweeps import OWN_VALUES, folder_names, value_text
 
-    def run_of(name: str, values: Combination) -> _Run:
+    def run_of(name: str, values: Combination) -> _Trial:
         place = options.output / _RUNS / name
         quiet = replace(options, output=place, json=False, quiet=True, flag=None, fail_flagged=False)
         own = [(f"--over {key}", f"{key}={value}") for key, value in zip(axes, values, strict=False)]
         job, scenes = prepared(command, config, source, quiet, [*settings, *own])
-        return _Run(values, quiet, job, scenes)
+        return _Trial(values, quiet, job, scenes)
 
     names = folder_names(axes, chosen)
     runs = {name: run_of(name, values) for name, values in zip(names, chosen, strict=True)}
@@ -160,13 +159,14 @@ def _runs_of(
     return {OWN_VALUES: plain, **runs}, OWN_VALUES
 
 
-def _show_plan(command: str, runs: Mapping[str, _Run], options: RunOptions) -> None:
+def _show_plan(command: str, runs: Mapping[str, _Trial], options: RunOptions) -> None:
     """Print the planned runs."""
     from depthcli.commands._run import DONE, plan_of
+    from depthcli.run.runner import Plan
 
     rows = []
     for name, run in runs.items():
-        plan = plan_of(run.job, run.scenes, run.options.output, run.options.execution)
+        plan = plan_of(Plan(run.job, run.scenes, run.options.output, run.options.execution))
         done = sum(row["status"] == DONE for row in plan["scenes"])
         rows.append({"run": name, "scenes": len(plan["scenes"]), "done": done, "refused": plan["refused"]})
     lines = [("run", "", "scenes", "done")]

@@ -112,15 +112,15 @@ def load_config(
     settings: Sequence[str | tuple[str, str]] = (),
     values: Mapping[str, Any] | None = None,
 ) -> _Model:
-    """Return a config read, laid over its base, overlaid with options and checked; ConfigError names every problem.
+    """Return a checked config: a file over its base, with options. Raise ConfigError with all problems.
 
     Parameters
     ----------
     model : of the config's root
-    source : a file, or a config that was read already, whose ``base`` is not followed
-    settings : ``--set`` options in order, each as ``a.b=value`` or as (option, ``a.b=value``), where messages name
-        ``option`` instead of ``--set``. The value is YAML; a number in the path is an index of a list
-    values : ``a.b`` -> plain value, after the options. A mapping that selects no method changes only the keys in it
+    source : a file, or a parsed config, whose ``base`` is ignored
+    settings : ``--set`` options in order, each as ``a.b=value``, or with the name of another option as (option,
+        ``a.b=value``). The value is YAML; a number in the path is an index of a list
+    values : ``a.b`` -> plain value, after the options. A mapping that selects no method changes only its own keys
     """
     command = getattr(model, "command", "")
     config = source if isinstance(source, ConfigData) else _with_base(read_config(source), source, command)
@@ -139,7 +139,7 @@ def load_config(
 
 
 def symbols_of(source: Path, command: str) -> dict[str, str]:
-    """Return the short names that a config gives to its keys for ``--set`` and ``--over``: symbol -> key."""
+    """Return symbol -> key, the short names in a config for ``--set`` and ``--over``."""
     return _symbols(_with_base(read_config(source), source, command))
 
 
@@ -154,17 +154,20 @@ def config_with_options(
     config, settings : the CONFIG argument and the values of ``--set``
     options : config key -> value of the option with that name, or None if it is not given
     """
-    given: list[str | tuple[str, str]] = list(settings or [])
-    for key, value in options.items():
-        if value is not None:
-            given.append((f"--{key.rpartition('.')[2].replace('_', '-')}", f"{key}={value}"))
+    given = [*(settings or []), *option_settings(options)]
     checked = load_config(model, find_config(model.command, config), given)
     used_files(checked)  # raises for missing files before any scene is opened
     return checked
 
 
+def option_settings(options: Mapping[str, object]) -> list[tuple[str, str]]:
+    """Return option and setting, for :func:`load_config`, from config key -> value, None if it is not given."""
+    given = ((f"--{key.rpartition('.')[2].replace('_', '-')}", key, value) for key, value in options.items())
+    return [(option, f"{key}={value}") for option, key, value in given if value is not None]
+
+
 def dump_config(model: BaseModel) -> str:
-    """Return the resolved model as YAML, always the same text for the same values; reads back to an equal model."""
+    """Return the resolved model as YAML, which reads back to an equal model."""
     return to_yaml(model.model_dump(mode="json", by_alias=True))
 
 
@@ -172,11 +175,10 @@ def dump_config(model: BaseModel) -> str:
 
 
 def _with_base(config: ConfigData, path: Path, command: str, chain: tuple[Path, ...] = ()) -> ConfigData:
-    """Return ``config``, of the file ``path``, laid over the one that its key ``base`` names, a file or a preset.
+    """Return ``config``, of the file ``path``, merged with its ``base``, a file or preset.
 
-    Mappings are merged key by key, except that a mapping which selects a different method replaces the base's mapping.
-    Any other value replaces the base's value. A file in the folder of ``path`` has precedence over a preset; ``chain``
-    are the files that were read before this one, each naming the next as its base.
+    Mappings are merged key by key, unless they select different methods. A file in the folder of ``path`` has
+    precedence over a preset; ``chain`` are the files whose base this config is, to detect circles.
     """
     if config.data.get("plugins"):
         _load_plugins(config, path.parent)
@@ -209,7 +211,7 @@ def _merged(base: Any, over: Any) -> Any:
 
 
 def _load_plugins(config: ConfigData, folder: Path) -> None:
-    """Load the plug-ins of the key ``plugins``: files in ``folder`` or loaded before (``--plugin``), and modules."""
+    """Load the plug-ins of the key ``plugins``: modules, and files in ``folder`` or of ``--plugin``."""
     names, place = config.data["plugins"], f"{config.place(('plugins',))}: plugins"
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ConfigError(f"{place}: expected a list of names of Python files and modules (got {short(names)})")
@@ -221,7 +223,7 @@ def _load_plugins(config: ConfigData, folder: Path) -> None:
 
 
 def _symbols(config: ConfigData) -> dict[str, str]:
-    """Take the key ``symbols`` out of a config, and return it."""
+    """Remove the key ``symbols`` from a config, and return it."""
     symbols = config.data.pop("symbols", {})
     if not isinstance(symbols, dict) or not all(isinstance(word, str) for word in (*symbols, *symbols.values())):
         place = f"{config.place(('symbols',))}: symbols"
@@ -239,8 +241,8 @@ def _overlay(
     settings: Sequence[str | tuple[str, str]],
     values: Mapping[str, Any],
 ) -> list[str]:
-    """Apply ``--set`` options and then overrides, in place; return the problems, one a line."""
-    problems, defaults = list[str](), None
+    """Apply ``--set`` options and then overrides, in place; return one line per problem."""
+    problems = list[str]()
     options = [each if isinstance(each, tuple) else ("", each) for each in settings]
     changes = [(option or f"--set {text.partition('=')[0].strip()[:64]}", text, None) for option, text in options]
     changes += [(f"override {key[:64]}", key, value) for key, value in _leaves(values)]
@@ -252,10 +254,9 @@ def _overlay(
                 if not equals:
                     raise ConfigError(f"{place}: expected KEY=VALUE, such as --set cost.window=[9,7]")
                 value = parse_value(setting, place)
-            if key.strip() != "plugins" and defaults is None:
-                defaults = _defaults(model, config)
-            _put(config, symbols.get(key.strip(), key.strip()), value, place, defaults)
-            if key.strip() == "plugins":
+            key = symbols.get(key.strip(), key.strip())
+            _put(config, key, value, place, _defaults(model, config) if "." in key else {})
+            if key == "plugins":
                 _load_plugins(config, Path())
         except ConfigError as error:
             problems.append(str(error))
@@ -263,14 +264,14 @@ def _overlay(
 
 
 def _defaults(model: type[BaseModel], config: ConfigData) -> Any:
-    """Return the defaults of keys that the config leaves out: a single key below them can be set."""
-    with contextlib.suppress(ValidationError):  # reported after --set, which may have mended it
+    """Return the config with its defaults, in which single keys can be set."""
+    with contextlib.suppress(ValidationError):  # reported later, unless --set corrects it
         return model.model_validate(config.data).model_dump(mode="json", by_alias=True)
     return {}
 
 
 def _leaves(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield key and value; of a mapping that selects no method, those in it."""
+    """Yield key and value, also of keys inside mappings that select no method."""
     for key, value in values.items():
         if isinstance(value, Mapping) and value and not any(method in value for method in _METHOD_KEYS):
             yield from _leaves({f"{key}.{name}": each for name, each in value.items()})
@@ -279,7 +280,7 @@ def _leaves(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def _put(config: ConfigData, key: str, value: Any, place: str, defaults: Any) -> None:
-    """Set one value, which ``place`` gives; ConfigError where that cannot be."""
+    """Set one value, which comes from ``place``. Raise ConfigError if there can be no such key."""
     location = tuple(int(part) if part.isdecimal() and len(part) < 9 else part for part in key.split("."))
     if "" in location:
         raise ConfigError(f"{place}: expected the name of a key, such as cost.window (got {short(key)})")
@@ -298,11 +299,13 @@ def _put(config: ConfigData, key: str, value: Any, place: str, defaults: Any) ->
 
 
 def _step_into(inside: Any, part: str | int, default: Any) -> Any:
-    """Return the value at a key of a mapping or an index of a list, as a container in which keys can be set."""
+    """Return the value at a key or index, as a container in which keys can be set."""
     below = inside.get(part) if isinstance(inside, dict) else inside[part]
     if below is None:
         below = copy.deepcopy(default) if isinstance(default, dict | list) else {}
-    elif isinstance(below, str):  # a method written by its name alone: the key goes into its parameters
+    elif not isinstance(below, dict) and isinstance(default, dict) and not any(key in default for key in _METHOD_KEYS):
+        below = copy.deepcopy(default)  # the short form of a mapping, such as the files of a calibration
+    elif isinstance(below, str):  # the name of a method, which gets parameters
         below = {"method": below}
     inside[part] = below
     return below
@@ -312,7 +315,7 @@ def _step_into(inside: Any, part: str | int, default: Any) -> Any:
 
 
 def _explain(config: ConfigData, error: Any) -> str:
-    """Return one of pydantic's errors as a line: the place in the file, the key, what is wrong, what may be meant."""
+    """Return an error of pydantic as a line: place, key, problem, and a hint."""
     kind, got, hint = error["type"], error.get("input"), ""
     keys, inside = [], config.data  # pydantic's location without the names of members of unions
     for part in error["loc"]:

@@ -6,6 +6,9 @@ import errno
 
 from depthcli.core.text import printable, without_secrets
 
+RESUME = "run the same command again to resume"
+"""Advice after a command was stopped."""
+
 SOME_FAILED = 3
 """Exit code of a command that finished, but not for every scene."""
 
@@ -18,8 +21,8 @@ EXIT_CODES = {
     2: "wrong usage, config, plug-in or folder, nothing was computed; or the disk became full",
     SOME_FAILED: "finished, but something failed or could not be written; the report says what",
     FLAGGED: "finished, and rows are flagged that count as failures here, or a condition has no values",
-    130: "ended by Ctrl-C; the same command goes on where it stopped",
-    143: "ended by SIGTERM; the same command goes on where it stopped",
+    130: f"ended by Ctrl-C; {RESUME}",
+    143: f"ended by SIGTERM; {RESUME}",
 }
 """Exit code -> meaning."""
 

@@ -14,10 +14,12 @@ from pydantic import Field, field_validator, model_validator
 
 from depthcli.core.cameras.rig import RectifiedRig, Rig
 from depthcli.core.cameras.triangulation import PairGeometry
+from depthcli.core.config_file import load_config, option_settings
 from depthcli.core.context import Latest
-from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.method import ConfigModel
+from depthcli.core.yaml_source import ConfigData
 from depthcli.io.formats.calibrations import Reading, meters_of, read_rig, write_geometry
 from depthcli.io.formats.files import collected_warnings, file_states, shown, warn
 from depthcli.io.formats.images import pair_of, write_png
@@ -57,9 +59,11 @@ class Calibration(ConfigModel):
     @model_validator(mode="before")
     @classmethod
     def _of_names(cls, data: Any) -> Any:
-        if isinstance(data, str):
-            return {"files": [data]}
-        return {"files": data} if isinstance(data, list) else data
+        data = [data] if isinstance(data, str) else data
+        data = {"files": data} if isinstance(data, list) else data
+        if isinstance(data, dict) and not data.get("files"):
+            raise ValueError("there is no calibration; give --calibration FILE, too")
+        return data
 
     @field_validator("unit")
     @classmethod
@@ -71,6 +75,13 @@ class Calibration(ConfigModel):
                 raise ValueError(str(error)) from None
         return unit
 
+    @field_validator("cameras", mode="before")
+    @classmethod
+    def _are_two(cls, cameras: Any) -> Any:
+        if isinstance(cameras, list | tuple) and len(set(cameras)) != 2:
+            raise ValueError("must be two numbers such as 2,3")
+        return cameras
+
     @property
     def reading(self) -> Reading:
         """Options for reading the files."""
@@ -81,35 +92,13 @@ class Calibration(ConfigModel):
         return read_rig([Path(file) for file in self.files], self.reading, size)
 
 
-def reading_fields(unit: str | None, fisheye: bool, cameras: str | None, alpha: float | None) -> dict[str, Any]:
-    """Return fields of :class:`Calibration` from the options with these names. Raise ConfigError for invalid values."""
-    fields: dict[str, Any] = {"fisheye": True} if fisheye else {}
-    fields |= {} if alpha is None else {"alpha": alpha}
-    if unit is not None:
-        try:
-            meters_of(unit)
-        except InputError as error:
-            raise ConfigError(f"--unit: {error}") from None
-        fields["unit"] = unit
-    if cameras is not None:
-        first, _, second = cameras.partition(",")
-        if not (first.isdigit() and second.isdigit() and len(first + second) == 2 and first != second):
-            raise ConfigError(f"--cameras: must be two numbers such as 2,3 (got {cameras!r})")
-        fields["cameras"] = int(first), int(second)
-    return fields
+class _Calibrated(ConfigModel):
+    calibration: Calibration | None = None
 
 
-def calibration_of(files: Sequence[Path], fields: Mapping[str, Any]) -> Calibration | None:
-    """Return the calibration in one or two files, with options in ``fields``; None without files.
-
-    Raise ConfigError for more than two files, or options without files.
-    """
-    names = [str(file.absolute()) for file in files]
-    if len(names) > 2:
-        raise ConfigError("--calibration: at most two files belong together")
-    if not names and fields:
-        raise ConfigError(f"--{next(iter(fields))}: there is no calibration; give --calibration FILE, too")
-    return Calibration.model_validate({"files": names, **fields}) if names else None
+def calibration_of(settings: Mapping[str, object]) -> Calibration | None:
+    """Return the calibration in keys such as ``calibration.unit``, or None. Raise ConfigError for invalid values."""
+    return load_config(_Calibrated, ConfigData("--calibration"), option_settings(settings)).calibration
 
 
 def calibration_files(calibration: Calibration | None) -> dict[str, Path]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,13 +31,12 @@ from depthcli.problems.rectified import (
     calibration_warnings,
     grey8,
     metric_columns,
-    reading_fields,
     rectified_rig,
     row_errors,
     sequence_range,
 )
 from depthcli.run.job import Outcome
-from depthcli.show.table import SIZE, Row, number, percent, share
+from depthcli.show.table import SIZE, Row, number, percent, share, size_of
 
 _MIN_SPREAD = 1.0  # smallest disparity spread of an uncalibrated pair without a warning, pixels
 
@@ -104,8 +103,7 @@ class Rectify(SceneJob[StereoScene]):
             search = self._search_range(frames, views, context.latest)
         except InputError as error:
             warnings.append(str(error))
-        row: Row = {"width": rectified.size[0], "height": rectified.size[1], **rows}
-        row |= {"overlap": share(overlap), **search}
+        row: Row = {**size_of(views[0]), **rows, "overlap": share(overlap), **search}
         if isinstance(rectified, RectifiedRig):
             span = SearchRange(search["min_disparity"], search["max_disparity"]) if search else None
             row |= metric_columns(rectified.geometry, span)
@@ -138,18 +136,13 @@ def _flatness_warnings(left: Points, right: Points) -> list[str]:
     ]
 
 
-def rectifier(
-    calibration: Sequence[Path] | None,
-    uncalibrated: bool,
-    unit: str | None,
-    fisheye: bool,
-    alpha: float | None,
-    cameras: str | None,
-) -> Rectify:
-    """Return the job with the options of these names. Raise ConfigError if they contradict each other."""
-    files = tuple(calibration or ())
-    if uncalibrated == bool(files):
+def rectifier(uncalibrated: bool, settings: Mapping[str, object]) -> Rectify:
+    """Return the job for the options of a calibration. Raise ConfigError if they are invalid or contradictory."""
+    read = calibration_of(settings)
+    if uncalibrated == (read is not None):
         raise ConfigError("give --calibration FILE, or --uncalibrated")
-    read = calibration_of(files, reading_fields(unit, fisheye, cameras, alpha))
-    config = {"uncalibrated": uncalibrated, "unit": unit or "m", "fisheye": fisheye, "alpha": alpha or 0.0}
-    return Rectify(config | {"cameras": cameras or "2,3"}, read)
+    config = {"uncalibrated": uncalibrated, "unit": "m", "fisheye": False, "alpha": 0.0, "cameras": "2,3"}
+    if read is not None:
+        cameras = ",".join(map(str, read.cameras))
+        config |= {"unit": read.unit or "m", "fisheye": read.fisheye, "alpha": read.alpha, "cameras": cameras}
+    return Rectify(config, read)

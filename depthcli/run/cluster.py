@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from depthcli.core.context import Latest
-from depthcli.core.errors import ConfigError, IncompleteError
+from depthcli.core.errors import RESUME, ConfigError, IncompleteError
 from depthcli.core.plugins import load_plugin, loaded
 from depthcli.kernels.jit import CompileWatch
 from depthcli.run import resources
 from depthcli.run.console import Reporter
 from depthcli.run.records import digest, file_digest
-from depthcli.run.scene import BUG, GOES_ON, Task, Work, compute_scene
+from depthcli.run.scene import BUG, Task, Work, compute_scene
 from depthcli.run.workers import counted, report_compilation, use_threads
 from depthcli.show.table import Row
 
@@ -46,7 +46,7 @@ def compute_on_cluster(
         If the connection to the scheduler is lost.
     """
     address = work.how.scheduler or ""
-    lost = f"{address}: the scheduler was lost; {GOES_ON}"
+    lost = f"{address}: the scheduler was lost; {RESUME}"
     if files := sorted(plugin.package for plugin in work.plugins if plugin.is_file):
         raise ConfigError(f"--scheduler: {', '.join(files)}: workers have no plug-in files; install it as a package")
     modules = [plugin.module for plugin in loaded.values() if not plugin.is_file]
@@ -138,7 +138,7 @@ def _compute_there(modules: Iterable[str], data: bytes) -> tuple[Row, int, float
     if identity != _identity_here(work):
         raise ConfigError(
             f"worker {worker.address} has another depthcli, or other versions of Python, its libraries or plug-ins, "
-            f"than this machine; end it or install the same there; {GOES_ON}"
+            f"than this machine; end it or install the same there; {RESUME}"
         )
     with _lock, CompileWatch(lambda _: None) as watch:
         running = Path(folder, task.hidden.parent, _RUNNING_FILE)

@@ -56,11 +56,6 @@ class Record:
     files: dict[str, str]  # path below the scene's folder -> digest; empty for a failed scene
     row: Row  # of the report
 
-    def is_done(self, folder: Path, run: str, inputs: Mapping[str, str]) -> bool:
-        """Return whether this run wrote the files from these inputs, and all are unchanged in ``folder``."""
-        made = self.row.get("status") == "done" and self.run == run and self.inputs == dict(inputs)
-        return made and all(file_digest(folder / name) == content for name, content in self.files.items())
-
 
 def digest(data: bytes) -> str:
     """Return the SHA-256 digest in hexadecimal."""

@@ -15,7 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from depthcli.core.errors import ConfigError, IncompleteError, OutputError
+from depthcli.core.errors import RESUME, ConfigError, IncompleteError, OutputError
 from depthcli.core.method import used_files, used_plugins
 from depthcli.core.plugins import Plugin, loaded, plugins_of
 from depthcli.io.formats.files import flush_all
@@ -39,7 +39,7 @@ from depthcli.run.records import (
     write_record,
     write_report,
 )
-from depthcli.run.scene import GOES_ON, Task, Work
+from depthcli.run.scene import Task, Work
 from depthcli.run.workers import compute_on_this_machine
 from depthcli.show.table import Row
 
@@ -265,8 +265,8 @@ class _Run:
         left = n_all - len(self.rows) - len(self.elsewhere)
         counts = f"{len(self.rows) - n_failed} of {n_all} scenes done, {n_failed} failed, {left} not computed"
         if self.disk_full:
-            raise OutputError(f"{self.disk_full}; stopped, {counts}; make room there, {GOES_ON}")
+            raise OutputError(f"{self.disk_full}; stopped, {counts}; make room there, and {RESUME}")
         if self.first_failure:
-            self.reporter.info(f"stopped at the first failure, {counts}; {GOES_ON}")
+            self.reporter.info(f"stopped at the first failure, {counts}; {RESUME}")
         if self.elsewhere:
             self.reporter.info(f"{len(self.elsewhere)} scenes are being computed by other processes")

@@ -39,7 +39,6 @@ from depthcli.show.table import Row
 
 BUG = "a bug in depthcli: "
 """Prefix of the error of a scene that failed because of a bug."""
-GOES_ON = "the same command goes on where it stopped"
 
 # Packages whose versions may change results; the versions are part of the run's identity.
 _LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image", "PyMaxflow")
@@ -108,9 +107,11 @@ class Task:
         row: Row = {"scene": self.scene.name, "status": "failed", "error": error, "seconds": {}, "peak_memory": None}
         return row | {"source": self.source, "warnings": []}
 
-    def is_done(self, known: Record) -> bool:
+    def is_done(self, known: Record | None) -> bool:
         """Return whether a record has this run and these inputs, and its files are unchanged."""
-        return known.is_done(self.target, self.run, self.inputs)
+        if known is None or known.row.get("status") != "done" or (known.run, known.inputs) != (self.run, self.inputs):
+            return False
+        return all(file_digest(self.target / name) == content for name, content in known.files.items())
 
     def record(self, row: Row, files: dict[str, str]) -> Record:
         """Return the record of the scene."""

@@ -244,7 +244,7 @@ def test_ctrl_c_leaves_a_run_to_go_on_with(made_scenes: Path, tmp_path: Path, jo
     os.killpg(process_.pid, signal.SIGINT)
     _, err = process_.communicate(timeout=60)
     assert process_.returncode == 130, err
-    assert "interrupted; the same command goes on" in err
+    assert "interrupted; run the same command again" in err
     assert "Traceback" not in err
     assert not list((tmp_path / "run").glob(".partial-*"))
     assert run(*command) == 0

@@ -241,8 +241,8 @@ def test_witnesses_right_maps_and_evaluation(two_scenes: Path, maps: Path, tmp_p
     assert run("confidence", "-i", two_scenes, "--maps", maps, "-o", tmp_path / "y", "--right-maps", rights) == 3
     shown = capsys.readouterr().err
     assert f"{NAMES[0]}: warning: " in shown
-    assert "no map of rights (right view): judged without it" in shown
-    assert "disp_right.pfm: 80 x 64, but the images are 96 x 64" in shown
+    assert "no map of rights (right view)" in shown
+    assert "disp_right.pfm: 80 x 64, but" in shown
     consistent = read_pfm(tmp_path / "out" / NAMES[0] / "confidence_left_right.pfm")
     assert np.nanmedian(consistent[42:58, 60:90]) > -0.6 > -3 > np.nanmedian(consistent[24:36, 44:66])
 

@@ -71,7 +71,7 @@ def test_sigterm_ends_like_ctrl_c(made_scenes: Path, tmp_path: Path):
     process.terminate()
     _, err = process.communicate(timeout=60)
     assert process.returncode == 143, err
-    assert "terminated; the same command goes on" in err
+    assert "terminated; run the same command again" in err
     assert set(statuses(tmp_path / "r").values()) == {"done"}
     assert not list((tmp_path / "r").glob(".partial-*"))
 

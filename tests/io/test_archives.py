@@ -319,5 +319,5 @@ def test_a_download_that_is_ended_says_so_in_a_line_and_leaves_nothing(tmp_path:
         server.shutdown()
         server.server_close()
     assert (process.returncode, out) == (143, "")
-    assert err.splitlines() == ["depthcli: terminated; the same command goes on where it stopped"]
+    assert err.splitlines() == ["depthcli: terminated; run the same command again to resume"]
     assert not list(cache.glob("*")) and not list(cache.glob(".*"))

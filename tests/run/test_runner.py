@@ -462,7 +462,7 @@ def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path:
     assert "the run has ended" in row["error"]
     known = records.read_record(tmp_path / "run/item")
     assert set(known.files) == set(made)
-    assert known.is_done(tmp_path / "run/item", "run", {})
+    assert task(tmp_path / "making").is_done(known)
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
