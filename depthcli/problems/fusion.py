@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -16,7 +16,7 @@ from depthcli.io.formats.networks import network_path, read_network
 from depthcli.io.scenes import StereoScene
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo.stages import PairMatcher
-from depthcli.problems.inputs import Overrides, load_config
+from depthcli.problems.inputs import Overrides
 from depthcli.problems.results import Disparity
 from depthcli.problems.stereo import (
     End,
@@ -25,8 +25,6 @@ from depthcli.problems.stereo import (
     Pairs,
     Stereo,
     StereoConfig,
-    with_opened_networks,
-    with_range,
 )
 
 
@@ -44,12 +42,12 @@ class Fuse(Pairs[FuseConfig]):
     command = "fuse"
     model = FuseConfig
 
-    volumes: Mapping[str, NDArray[Any]] | None = None  # for pairs of arrays: name -> (H, W, D) costs
+    volumes: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # for pairs of arrays: name -> (H, W, D) costs
 
     @classmethod
     def ready(cls, config: FuseConfig) -> Self:
         """Return the problem with open networks. Raise ConfigError if one is unusable or for other maps."""
-        config = with_opened_networks(super().ready(config).config, "cpu")
+        config = super().ready(config).config
         if config.network_name is None:
             return cls(config)
         try:
@@ -60,10 +58,9 @@ class Fuse(Pairs[FuseConfig]):
     def matcher(self, scene: StereoScene | None = None) -> PairMatcher:
         """Return the fusion with the scene's volumes, or with the volumes given as arrays."""
         if scene is None:
-            given = self.volumes or {}
-            if self.config.volumes - set(given):
+            if self.config.volumes - set(self.volumes):
                 raise ConfigError(f"volumes: the config needs {', '.join(sorted(self.config.volumes))}")
-            return self.config.with_volumes(lambda: given) if given else self.config
+            return self.config.with_volumes(lambda: self.volumes) if self.volumes else self.config
         files = self._volumes(scene)
         if files and self.ends(scene)[0] != 0:
             raise InputError(f"{scene.folder}: volumes made elsewhere begin at disparity 0; leave --min-disparity out")
@@ -109,9 +106,8 @@ def fuse(
     >>> round(float(np.median(disparity.values)))
     8
     """
-    config = load_config(FuseConfig, preset, overrides, **with_range(fields, max_disparity))
     arrays = {name: np.asarray(volume) for name, volume in (volumes or {}).items()}
-    return Matcher(Fuse(Fuse.ready(config).config, arrays))(left, right)
+    return Matcher(replace(Fuse.of(preset, max_disparity, overrides, fields), volumes=arrays))(left, right)
 
 
 def matcher(
@@ -137,10 +133,7 @@ def matcher(
     >>> [float(np.median(match(left, np.roll(left, -k, axis=1)).values)) for k in (2, 4, 6)]
     [2.0, 4.0, 6.0]
     """
-    fields = with_range(fields, max_disparity)
-    if isinstance(preset, FuseConfig):
-        match = Matcher(Fuse.ready(load_config(FuseConfig, preset, overrides, **fields)))
-    else:
-        match = Matcher(Stereo.ready(load_config(StereoConfig, preset, overrides, **fields)))
+    problem: type[Stereo | Fuse] = Fuse if isinstance(preset, FuseConfig) else Stereo
+    match = Matcher(problem.of(preset, max_disparity, overrides, fields))
     match.load_kernels()
     return match

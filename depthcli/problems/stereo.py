@@ -23,7 +23,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status, without_smoothed
 from depthcli.core.method import RootConfig, parts_of
 from depthcli.core.text import show_bytes
-from depthcli.device import Device, DeviceError
+from depthcli.device import DeviceError
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import pair_of
 from depthcli.io.scenes import StereoScene
@@ -37,9 +37,9 @@ from depthcli.methods.stereo.pipeline.command import Program
 from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, complete_range, matched_beyond
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.volume import StereoResult
-from depthcli.problems.given_maps import networks
+from depthcli.problems.given_maps import MAX_DISPARITY, networks
 from depthcli.problems.inputs import Overrides, as_image, load_config, paired
-from depthcli.problems.problem import MAP_FILES, Problem, Shown
+from depthcli.problems.problem import MAP_FILES, Inputs, Problem, Shown
 from depthcli.problems.rectified import (
     METRIC_COLUMNS,
     Calibration,
@@ -51,28 +51,28 @@ from depthcli.problems.rectified import (
 )
 from depthcli.problems.results import Disparity
 from depthcli.run.resources import available_memory, check_memory
-from depthcli.show.table import SIZE, Row, median, number, percent, share
+from depthcli.show.table import SIZE, Row, median, number, percent, share, size_of
 from depthcli.show.view import STATUS_PALETTE
 
-_MAX_DISPARITY = 16383  # pixels, 14 bits; no method here can match wider images
 _MIN_MEASURED_SHARE = 0.5  # share of measured pixels below which a map has a warning
 # Shares of measured pixels at an end of the search range. Above the first, a map has a warning. A third of the ranges
 # that end at 3/4 of the largest disparity stay below it; above the second, the pair's own range is estimated.
 _MAX_SHARE_AT_END, _MIN_SHARE_AT_END = 0.05, 0.01
 _REASONS = [int(bit) for bit in (Status.OCCLUDED, Status.MISMATCH, Status.OUT_OF_RANGE, Status.NO_DATA)]
 
-_End = Annotated[int, Field(ge=-_MAX_DISPARITY, le=_MAX_DISPARITY)] | Literal["auto"] | None
+End = Annotated[int, Field(ge=-MAX_DISPARITY, le=MAX_DISPARITY)] | Literal["auto"] | None
+"""An end of the search range: pixels, "auto" (estimated from the pair), or None (from the config)."""
 
 
 class PairConfig(RootConfig):
     """The common config keys of all commands that match pairs."""
 
-    max_disparity: _End = Field(
+    max_disparity: End = Field(
         None,
         description="largest disparity searched, pixels; auto: as the pair itself says; null: the scene's; where it "
         "has none, auto, and for pairs rectified by a calibration as the first frames of a sequence say",
     )
-    min_disparity: _End = Field(
+    min_disparity: End = Field(
         None,
         description="smallest disparity searched, pixels; auto: as the pair itself says; null: the scene's, else 0",
     )
@@ -125,15 +125,8 @@ class StereoConfig(PairConfig):
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
 
-def with_reading(config: PairConfigT, fields: Mapping[str, Any]) -> PairConfigT:
-    """Return the config with these fields set in its calibration. Raise ConfigError if it has no calibration."""
-    if config.calibration is None:
-        raise ConfigError(f"--{next(iter(fields))}: there is no calibration; give --calibration FILE, too")
-    return config.model_copy(update={"calibration": config.calibration.model_copy(update=dict(fields))})
-
-
 @dataclass(frozen=True, eq=False)
-class PairInputs:
+class PairInputs(Inputs):
     """A pair with its matcher and the ends of its search range."""
 
     pair: StereoPair
@@ -141,25 +134,15 @@ class PairInputs:
     ends: tuple[int | str, int | str | None]  # pixels or "auto"; upper end None: estimate both ends from the pair
     sequence: MatchedRange | None = None  # the range from the frames of the pair's sequence
     rectified: Rectified | None = None  # the views, if a calibration rectified them
-
-    saving: ClassVar[Mapping[str, Any]] = {}
-
-    @property
-    def later(self) -> Callable[[Path], None] | None:
-        """The function that writes the rectified view and its calibration; None without a calibration."""
-        return None if self.rectified is None else self.rectified.save
-
-    @property
-    def warnings(self) -> Sequence[str]:
-        """Warnings about the calibration."""
-        return () if self.rectified is None else self.rectified.warnings
+    warnings: Sequence[str] = ()
+    later: Callable[[Path], None] | None = None
 
 
 @dataclass(frozen=True)
 class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
     """Compute maps of the left views of pairs; ``stereo`` and ``fuse`` differ in their matchers."""
 
-    model: ClassVar[type[PairConfig]]
+    model: ClassVar[type[Any]]
     rows = PAIRS
     writes = (*MAP_FILES, "left.png", "calib.txt")
     shown = Shown(
@@ -174,27 +157,42 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
 
     @classmethod
     def ready(cls, config: PairConfigT) -> Self:
-        """Return the problem for a config. Raise ConfigError or InputError if its calibration cannot be read."""
+        """Return the problem with open and checked networks. Raise ConfigError or InputError for unusable files.
+
+        On devices other than CUDA, networks run on the CPU.
+        """
         if config.calibration is not None:
             with collected_warnings():  # every pair repeats them
                 config.calibration.rig()
+        if any(networks_in(config)):
+            address = getattr(config, "device", "cpu")
+            config = config.model_copy(deep=True)
+            for network in networks_in(config):
+                try:
+                    network.prepare(address if address.startswith("cuda") else "cpu")
+                except InputError as error:
+                    raise ConfigError(str(error)) from error
         return cls(config)
+
+    @classmethod
+    def of(
+        cls,
+        preset: str | Path | RootConfig,
+        max_disparity: End,
+        overrides: Overrides | None,
+        fields: Mapping[str, object],
+    ) -> Self:
+        """Return the problem for the arguments of a Python function. Raise ConfigError as :func:`stereo`."""
+        given = {} if max_disparity is None else {"max_disparity": max_disparity}
+        return cls.ready(load_config(cls.model, preset, overrides, **fields, **given))
 
     @abstractmethod
     def matcher(self, scene: StereoScene | None = None) -> PairMatcher:
         """Return the matcher for a scene's pair, or for arrays."""
 
-    def device(self) -> Device | None:
-        """Return the device to match on, or None for the CPU."""
-        return None
-
-    def device_column(self) -> Row:
-        """Return the report's columns about the device."""
-        return {}
-
     def limits(self, memory: int) -> Limits:
         """Return the limits for matching a pair with at most ``memory`` bytes."""
-        return Limits(memory, self.config.tiles, self.config.tile_memory << 20, self.device())
+        return Limits(memory, self.config.tiles, self.config.tile_memory << 20, None)
 
     def ends(self, scene: StereoScene | None = None) -> tuple[int | str, int | str | None]:
         """Return the ends of the search range from the config or, by default, from the scene.
@@ -273,7 +271,9 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         clock.start("rectify")
         rectified = rectified_scene(calibration, scene, context.latest)
         pair = pair_of(rectified.left, rectified.right, (scene.left, scene.right or scene.left))
-        return PairInputs(pair, matcher, self.ends(scene), sequence, rectified)
+        return PairInputs(
+            pair, matcher, self.ends(scene), sequence, rectified, rectified.warnings, later=rectified.save
+        )
 
     def take(self, left: ArrayLike, right: ArrayLike, context: Context) -> PairInputs:
         """Return the pair of two arrays, rectified if there is a calibration."""
@@ -287,47 +287,57 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
     def solve(self, inputs: PairInputs, context: Context) -> Disparity:
         """Match the pair, and compute the error bound if the config requests it.
 
+        The clock records ``range`` if the range is estimated, the stages of the method, ``other``, and ``bound``.
+
         Raise InputError if too few pixels match to estimate the range, or there is not enough memory.
         """
-        disparity = match_pair(inputs, self.limits(context.memory), context)
+        pair, clock, limits = inputs.pair, context.clock, self.limits(context.memory)
+        if inputs.sequence is None and (inputs.ends[1] is None or "auto" in inputs.ends):
+            clock.start("range")
+        search, key_points = complete_range(*inputs.ends, pair, inputs.sequence)
+        clock.start("other")
+        widest, requested = max(pair.shape[1] - 1, search.min_disparity + 1), search.max_disparity
+        search = SearchRange(search.min_disparity, min(requested, widest))
+        matched = match(inputs.matcher, search.shift(pair), search.shifted_max_disparity, limits, context)
+        result = search.restore(matched, pair.shape[1])
+        clock.include(result.seconds)
+        values, status, seconds = result.disparity.values, result.disparity.status, dict(clock.seconds)
+        warnings = _warnings(pair, search, key_points, result, limits)
+        if requested > widest:
+            text = f"no pixel of images {pair.shape[1]} wide has a disparity above {widest}"
+            warnings = (f"{text}: not searched up to {requested}", *warnings)
+        details = search, result, seconds, warnings, key_points
+        disparity = Disparity(values, without_smoothed(status), pair.left, *details)
         if self.config.bound is None:
             return disparity
-        context.clock.start("bound")
-        return with_bound(disparity, inputs.pair, self.config.bound, context)
+        clock.start("bound")
+        return with_bound(disparity, pair, self.config.bound, context)
 
     def row(self, inputs: PairInputs, result: Disparity) -> Row:
         """Return size, range, facts of the rectification, density, bound, and figures of the method."""
-        pair, search, key_points = inputs.pair, result.search, result.key_points
+        pair, search, key_points, facts = inputs.pair, result.search, result.key_points, Row()
+        if inputs.rectified is not None:
+            geometry = inputs.rectified.rig.geometry
+            depth = median(geometry.depth(result.values)[result.valid])
+            facts = inputs.rectified.facts | metric_columns(geometry, search, depth)
         return {
-            "width": pair.shape[1],
-            "height": pair.shape[0],
+            **size_of(pair),
             "max_disparity": search.max_disparity,
             **({"min_disparity": search.min_disparity} if search.min_disparity or key_points else {}),
-            **({} if inputs.rectified is None else inputs.rectified.facts | self._depths(inputs.rectified, result)),
+            **facts,
             **key_points,
             "density": share(result.valid),
             "measured": share(result.measured),
             **bound_columns(result),
             **({"bits": pair.bits} if partly_used(pair) else {}),
             **{name: float(value) for name, value in result.details.figures.items()},
-            **self.device_column(),
         }
-
-    @staticmethod
-    def _depths(rectified: Rectified, result: Disparity) -> Row:
-        """Return the report's columns with the metric properties of a rectified pair's disparities."""
-        geometry = rectified.rig.geometry
-        return metric_columns(geometry, result.search, median(geometry.depth(result.values)[result.valid]))
 
     def notes(self, scenes: Sequence[StereoScene], rows: Sequence[Row]) -> list[str]:
         """Return a line about scenes whose search range neither the config nor their files give."""
-        if self.config.max_disparity is not None or self.config.calibration is not None:
-            return []
         unknown = {scene.name for scene in scenes if not scene.problem and scene.max_disparity is None}
-        if not unknown:
-            return []
         ends = [row["max_disparity"] for row in rows if row["scene"] in unknown and "max_disparity" in row]
-        if not ends:
+        if self.config.max_disparity is not None or self.config.calibration is not None or not ends:
             return []
         which = "the search range is" if len(ends) == 1 else f"the search ranges of {len(ends)} scenes are"
         span = f"{ends[0]}" if len(set(ends)) == 1 else f"{min(ends)} to {max(ends)}"
@@ -353,54 +363,37 @@ class Stereo(Pairs[StereoConfig]):
 
     @classmethod
     def ready(cls, config: StereoConfig) -> Self:
-        """Return the problem with its device and open networks. Raise ConfigError on failure."""
-        return cls(with_address(super().ready(config).config))
+        """Return the problem with the address of its device. Raise ConfigError or InputError on failure."""
+        address = config.device
+        try:
+            if address != "cpu" and config.pipeline.uses_devices:
+                info = device.find_device(address)
+                address = "cpu" if info is None else info.address
+            elif address != "cpu":
+                address = network_device(address)
+        except (DeviceError, InputError) as error:
+            raise ConfigError(str(error)) from error
+        return super().ready(config.model_copy(update={"device": address}))
 
     def matcher(self, scene: StereoScene | None = None) -> PairMatcher:
         """Return the pipeline of the config."""
         return self.config.pipeline
 
-    def device(self) -> Device | None:
-        """Return the configured device; None for the CPU, or if the pipeline opens the device itself."""
+    def limits(self, memory: int) -> Limits:
+        """Return the limits, with the device unless it is the CPU or the pipeline opens the device itself."""
+        limits = super().limits(memory)
         if self.config.device == "cpu" or not self.config.pipeline.uses_devices:
-            return None
-        return device.open_device(self.config.device)
+            return limits
+        return replace(limits, device=device.open_device(self.config.device))
 
-    def device_column(self) -> Row:
-        """Return the device, if the config names one."""
-        config, opened = self.config, self.device()
-        if config.device == "cpu":
-            return {}
-        if opened is None:
-            return {"device": config.device}
-        where = f"{opened.info.address}, {opened.info.name}"
-        if type(config.pipeline) not in device_table():
-            where = f"cpu: {config.pipeline.method_name()} has no kernels for {where}"
-        return {"device": where}
-
-
-def match_pair(inputs: PairInputs, limits: Limits, context: Context) -> Disparity:
-    """Return the map of a pair. Raise InputError for an empty range, too few matches, or too little memory.
-
-    The clock of ``context`` records ``range`` if the range is estimated, the stages of the method, and ``other``.
-    """
-    pair, clock = inputs.pair, context.clock
-    if inputs.sequence is None and (inputs.ends[1] is None or "auto" in inputs.ends):
-        clock.start("range")
-    search, key_points = complete_range(*inputs.ends, pair, inputs.sequence)
-    clock.start("other")
-    widest, requested = max(pair.shape[1] - 1, search.min_disparity + 1), search.max_disparity
-    search = SearchRange(search.min_disparity, min(requested, widest))
-    matched = match(inputs.matcher, search.shift(pair), search.shifted_max_disparity, limits, context)
-    result = search.restore(matched, pair.shape[1])
-    clock.include(result.seconds)
-    disparity, seconds = result.disparity, dict(clock.seconds)
-    warnings = _warnings(pair, search, key_points, result, limits)
-    if requested > widest:
-        text = f"no pixel of images {pair.shape[1]} wide has a disparity above {widest}: not searched up to {requested}"
-        warnings = (text, *warnings)
-    status = without_smoothed(disparity.status)
-    return Disparity(disparity.values, status, pair.left, search, result, seconds, warnings, key_points)
+    def row(self, inputs: PairInputs, result: Disparity) -> Row:
+        """Return the row, with the device if the config names one."""
+        where, opened, pipeline = self.config.device, self.limits(0).device, self.config.pipeline
+        if opened is not None:
+            where = f"{opened.info.address}, {opened.info.name}"
+            if type(pipeline) not in device_table():
+                where = f"cpu: {pipeline.method_name()} has no kernels for {where}"
+        return super().row(inputs, result) | ({} if where == "cpu" else {"device": where})
 
 
 def _warnings(
@@ -443,36 +436,6 @@ def _warnings(
     return tuple(warnings)
 
 
-def with_address(config: StereoConfig) -> StereoConfig:
-    """Return the config with its device's address and networks open there. Raise ConfigError on failure."""
-    address = config.device
-    try:
-        if address != "cpu" and config.pipeline.uses_devices:
-            info = device.find_device(address)
-            address = "cpu" if info is None else info.address
-        elif address != "cpu":
-            address = network_device(address)
-    except (DeviceError, InputError) as error:
-        raise ConfigError(str(error)) from error
-    return with_opened_networks(config.model_copy(update={"device": address}), address)
-
-
-def with_opened_networks(config: PairConfigT, address: str) -> PairConfigT:
-    """Return the config with open and checked networks. Raise ConfigError if one cannot be used.
-
-    On devices other than CUDA, networks run on the CPU.
-    """
-    if not any(networks_in(config)):
-        return config
-    config = config.model_copy(deep=True)
-    for network in networks_in(config):
-        try:
-            network.prepare(address if address.startswith("cuda") else "cpu")
-        except InputError as error:
-            raise ConfigError(str(error)) from error
-    return config
-
-
 def partly_used(pair: StereoPair) -> bool:
     """Return whether the samples have fewer bits than their dtype."""
     return pair.bits is not None and pair.bits < 8 * pair.left.dtype.itemsize
@@ -500,10 +463,6 @@ def with_bound(disparity: Disparity, pair: StereoPair, promise: Bound, context: 
     bound[:, first:] = np.where(known[:, first:], bounded[:, : width - first], np.float32(np.nan))
     probability[:, first:] = probable[:, : width - first]
     return replace(disparity, bound=bound, probability=probability, seconds=dict(context.clock.seconds))
-
-
-End = int | Literal["auto"] | None
-"""An end of the search range: pixels, "auto" (estimated from the pair), or None (from the config)."""
 
 
 def stereo(
@@ -541,8 +500,7 @@ def stereo(
     >>> float(np.median(disparity.values[disparity.measured]))
     8.0
     """
-    config = load_config(StereoConfig, preset, overrides, **with_range(fields, max_disparity))
-    return Matcher(Stereo.ready(config))(left, right)
+    return Matcher(Stereo.of(preset, max_disparity, overrides, fields))(left, right)
 
 
 class Matcher:
@@ -552,7 +510,7 @@ class Matcher:
         self.config = problem.config
         self._problem, self._latest = problem, Latest()
         # A device has one queue, so that threads take turns.
-        self._turn = contextlib.nullcontext() if problem.device() is None else threading.Lock()
+        self._turn = contextlib.nullcontext() if problem.limits(0).device is None else threading.Lock()
 
     def __call__(self, left: ArrayLike, right: ArrayLike) -> Disparity:
         """Return the map of a pair, with the same inputs, result and errors as :func:`stereo`."""
@@ -579,8 +537,3 @@ class Matcher:
         for image in (noise[..., 0].copy(), noise):
             pair = StereoPair(image, np.roll(image, -2, axis=1), 8)
             self._solved(PairInputs(pair, method, (0, top)), Context(available_memory()))
-
-
-def with_range(fields: dict[str, object], max_disparity: End) -> dict[str, object]:
-    """Return config overrides with the largest disparity, if it is given."""
-    return fields if max_disparity is None else {**fields, "max_disparity": max_disparity}
