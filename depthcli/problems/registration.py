@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,7 +43,7 @@ from depthcli.io.volume_pairs import (
 from depthcli.methods.registration.pipeline import Pipeline, RegistrationResult, at_voxels
 from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from depthcli.problems.inputs import Overrides, as_volume, load_config
-from depthcli.problems.problem import Problem, Shown
+from depthcli.problems.problem import Inputs, Problem, Shown
 from depthcli.problems.results import made
 from depthcli.run.resources import available_memory, check_memory
 from depthcli.show.table import Column, Row, number, percent, to_csv
@@ -104,12 +104,12 @@ class RegistrationConfidence:
     @cached_property
     def values(self) -> NDArray[np.float32]:
         """The expected error, (Z, Y, X) float32, mm."""
-        return self._on_fixed_grid(self.details.expected_error)
+        return self._map("expected_error")
 
     @cached_property
     def confidence(self) -> NDArray[np.float32]:
         """The confidence exp(-expected error / 3 mm), (Z, Y, X) float32 in [0, 1]."""
-        return self._on_fixed_grid(self.details.certainty)
+        return self._map("confidence")
 
     @cached_property
     def bound(self) -> NDArray[np.float32]:
@@ -118,8 +118,7 @@ class RegistrationConfidence:
         It is at least the expected error. It is open (infinite) from ``details.figures["reach"]`` on, the distance of
         the farthest searched match. Raise InputError if the method has no bound.
         """
-        self._bounds("bound")
-        return self._bound()
+        return self._map("bound")
 
     @property
     def status(self) -> NDArray[np.uint8]:
@@ -129,12 +128,12 @@ class RegistrationConfidence:
     @cached_property
     def probability(self) -> NDArray[np.float32]:
         """The probability of an error up to ``within`` mm, (Z, Y, X) float32. Raise InputError without a bound."""
-        return self._bounds("probability")
+        return self._map("probability")
 
     @cached_property
     def shift(self) -> NDArray[np.float32]:
         """The offset of each voxel's match, (Z, Y, X, 3) float32, mm along x, y, z. Raise InputError without one."""
-        return self._shift()
+        return self._map("shift")
 
     def at(self, points: ArrayLike) -> list[dict[str, float]]:
         """Return a row per point, with position, confidence, expected error, and any shift, bound and probability.
@@ -169,19 +168,14 @@ class RegistrationConfidence:
         if suffix not in _SUFFIXES:
             raise InputError(f"suffix: must be .nii.gz, .nii, .mha or .nrrd (got {suffix!r})")
         files = made(folder)
-        maps = {"confidence": self.details.certainty, "expected_error": self.details.expected_error, **self.bounds}
-        for name, values in maps.items():
-            if name != "bound":
-                write_volume(files / f"{name}{suffix}", self.grid, partial(self._on_fixed_grid, values))
+        for name in self._maps:
+            write_volume(files / f"{name}{suffix}", self.grid, partial(self._map, name), vector=name == "shift")
         if "bound" in self.bounds:
 
             def status(first: int, last: int) -> NDArray[np.uint8]:
-                return _status_of(self._bound(first, last))
+                return _status_of(self._map("bound", first, last))
 
-            write_volume(files / f"bound{suffix}", self.grid, self._bound)
             write_volume(files / f"status{suffix}", self.grid, status, bytes_=True)
-        if self.details.shift is not None:
-            write_volume(files / f"shift{suffix}", self.grid, self._shift, vector=True)
         write_drawn(files / "preview.png", self._preview)
         if landmarks is not None:
             rows: list[Row] = list(self.at(landmarks))
@@ -190,39 +184,41 @@ class RegistrationConfidence:
                     row["bound"] = f"> {round(self._reach, 4):g}"
             write_text(files / "points.csv", to_csv(rows))
 
-    def _on_fixed_grid(
-        self, values: NDArray[np.float32], first: int = 0, last: int | None = None
-    ) -> NDArray[np.float32]:
-        """Return slices ``first`` up to ``last`` (None: all) of a map of the method, on the fixed volume's grid."""
+    @property
+    def _maps(self) -> dict[str, NDArray[np.float32]]:
+        """Name -> map on the method's own grid."""
+        maps = {"confidence": self.details.certainty, "expected_error": self.details.expected_error, **self.bounds}
+        return maps if self.details.shift is None else {**maps, "shift": self.details.shift}
+
+    def _map(self, name: str, first: int = 0, last: int | None = None) -> NDArray[np.float32]:
+        """Return slices ``first`` up to ``last`` (None: all) of a map on the fixed volume's grid.
+
+        Raise InputError if the pipeline has no such map.
+        """
         depth, height, width = self.grid.shape
         start_and_step = self.loaded.on_grid(self.details.start, self.details.step)
         shape = ((depth if last is None else last) - first, height, width)
-        return at_voxels(values, *start_and_step, shape, (first, 0, 0))
+        maps = self._maps
+        if name not in maps:
+            lack = "searches for no matches" if name == "shift" else "gives no score of the error"
+            raise InputError(f"{name}: this pipeline {lack}, so there is none")
+        # Bounds are opened after interpolation, since infinity cannot be interpolated.
+        parts = {"shift": tuple(maps[name][::-1]), "bound": (maps[name], maps["expected_error"])}.get(
+            name, (maps[name],)
+        )
+        values = [at_voxels(part, *start_and_step, shape, (first, 0, 0)) for part in parts]
+        if name == "shift":
+            return np.asarray(np.stack(values, axis=-1) @ self.grid.axes.T, np.float32)
+        return self._opened(*values) if name == "bound" else values[0]
 
     @property
     def _reach(self) -> float:
         return self.details.figures.get("reach", math.inf)
 
-    def _bound(self, first: int = 0, last: int | None = None) -> NDArray[np.float32]:
-        # Bounds are opened after interpolation, since infinity cannot be interpolated.
-        parts = (self.bounds["bound"], self.details.expected_error)
-        return self._opened(*(self._on_fixed_grid(values, first, last) for values in parts))
-
     def _opened(self, bound: NDArray[np.float32], expected: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return bounds of at least the expected error, +inf where they are open."""
         bound = np.maximum(bound, expected)
         return np.where(bound >= bound.dtype.type(self._reach), np.float32(np.inf), bound)
-
-    def _bounds(self, name: str) -> NDArray[np.float32]:
-        if name not in self.bounds:
-            raise InputError(f"{name}: this pipeline gives no score of the error, so there is none")
-        return self._on_fixed_grid(self.bounds[name])
-
-    def _shift(self, first: int = 0, last: int | None = None) -> NDArray[np.float32]:
-        if self.details.shift is None:
-            raise InputError("shift: this pipeline searches for no matches, so there is none")
-        parts = [self._on_fixed_grid(self.details.shift[axis], first, last) for axis in (2, 1, 0)]
-        return np.asarray(np.stack(parts, axis=-1) @ self.grid.axes.T, np.float32)
 
     def _preview(self) -> NDArray[np.uint8]:
         result, pair = self.details, self.loaded.pair
@@ -280,14 +276,14 @@ _COLUMNS = (
 )
 
 
-class VolumePair(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class VolumePair(Inputs):
     """A registered pair in memory, with its scene if it has one."""
 
     loaded: LoadedPair
     scene: VolumePairScene | None = None  # has the regions for further figures
-    saving: Mapping[str, Any] = {}
+    saving: Mapping[str, Any] = field(default_factory=dict)
     warnings: Sequence[str] = ()
-    later: None = None
 
 
 @dataclass(frozen=True)
