@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -44,14 +44,16 @@ from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
 from depthcli.methods.stereo.search_range import SearchRange, matched_range
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.problems.inputs import as_image, as_map, as_pair
-from depthcli.problems.problem import MAP_FILES, Problem, ResultT, Shown
+from depthcli.problems.problem import MAP_FILES, Inputs, Problem, ResultT, Shown
 from depthcli.problems.results import Disparity, made, write_details, write_disparity
 from depthcli.run.console import Reporter
 from depthcli.run.records import read_report
 from depthcli.run.resources import available_memory, check_memory
-from depthcli.show.table import SIZE, Row, median, number, percent, share
+from depthcli.show.table import SIZE, Row, median, number, percent, share, size_of
 from depthcli.show.view import STATUS_PALETTE, View
 
+MAX_DISPARITY = 16383
+"""Largest disparity that can be searched, pixels; 14 bits, since no method can match wider images."""
 _TOP_SHARE = 0.999  # quantile of the values; larger values do not widen the search range
 _MAX_BEYOND = 0.01  # share of a map's values above the range, beyond which it has a warning
 _MIN_EXPECTED = 0.3  # mean probability below which a map has a warning
@@ -116,7 +118,7 @@ class MapConfidence:
 
 
 @dataclass(frozen=True, eq=False)
-class MapInputs:
+class MapInputs(Inputs):
     """Images, and maps of their left view."""
 
     images: StereoPair | Image  # the pair, or the left image without a right one
@@ -126,8 +128,6 @@ class MapInputs:
     status: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict)  # name of a map -> (H, W), if it has one
     saving: Mapping[str, Any] = field(default_factory=dict)
     warnings: Sequence[str] = ()
-
-    later: ClassVar[Callable[[Path], None] | None] = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -198,6 +198,14 @@ class GivenMaps(Problem[MapsScene, MapInputs, ResultT]):
         given: int | None = self.config["max_disparity"]
         return given or scene.max_disparity
 
+    def load(self, scene: MapsScene, context: Context) -> MapInputs:
+        """Return the images and maps of a scene. Raise InputError for maps of another size."""
+        context.clock.start("load")
+        images = read_image(scene.left) if scene.right is None else load_pair(scene)
+        maps = {one.run: _loaded(one, scene, images.shape) for one in scene.maps}
+        absent = [f"no map of {run}: it is left out" for run in scene.absent]
+        return MapInputs(images, maps, self.max_disparity(scene), warnings=absent)
+
     def check_memory(self, inputs: MapInputs, max_disparity: int, context: Context) -> None:
         """Raise InputError if there is not enough memory."""
         height, width = inputs.shape
@@ -219,16 +227,13 @@ class Confidence(GivenMaps[MapConfidence]):
 
     def load(self, scene: MapsScene, context: Context) -> MapInputs:
         """Return the images and maps of a scene; the first map is the judged one."""
-        context.clock.start("load")
         if scene.right is None and len(scene.maps) > 1:
             raise InputError(f"{scene.left.parent}: no right image, without which there are no witnesses")
-        images = read_image(scene.left) if scene.right is None else load_pair(scene)
-        shape = (images.shape[0], images.shape[1])
-        maps = {one.run: loaded(one, shape, scene) for one in scene.maps}
-        right = None if scene.right is None or scene.right_map is None else loaded(scene.right_map, shape, scene)
+        inputs, right = super().load(scene, context), None
+        if scene.right is not None and scene.right_map is not None:
+            right = _loaded(scene.right_map, scene, inputs.shape)
         saving = {"share": self.config["keep"], "threshold": self.config["threshold"]}
-        absent = [f"no map of {run}: judged without it" for run in scene.absent]
-        return MapInputs(images, maps, self.max_disparity(scene), right, saving=saving, warnings=absent)
+        return replace(inputs, right=right, saving=saving)
 
     def solve(self, inputs: MapInputs, context: Context) -> MapConfidence:
         """Judge the first map. Raise InputError for unsuitable maps or too little memory."""
@@ -267,8 +272,7 @@ class Confidence(GivenMaps[MapConfidence]):
         known = np.isfinite(result.values)
         hidden = (result.status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
         return {
-            "width": inputs.shape[1],
-            "height": inputs.shape[0],
+            **size_of(inputs.images),
             "max_disparity": result.max_disparity,
             "density": share(np.isfinite(result.kept(**inputs.saving))),
             "expected_right": share(result.probability[known]) if known.any() else None,
@@ -297,14 +301,11 @@ class FuseMaps(GivenMaps[Disparity]):
 
     def load(self, scene: MapsScene, context: Context) -> MapInputs:
         """Return the pair and maps of a scene, with the status maps of this program's runs."""
-        context.clock.start("load")
-        pair = load_pair(scene)
-        maps = {one.run: loaded(one, pair.shape, scene) for one in scene.maps}
+        inputs = super().load(scene, context)
         status = {one.run: read_status(one.status) for one in scene.maps if one.status is not None}
         for name, codes in status.items():
-            check_same_size(scene.folder / f"status.png of {name}", codes.shape, scene.left, pair.shape)
-        absent = [f"no map of {run}: fused without it" for run in scene.absent]
-        return MapInputs(pair, maps, self.max_disparity(scene), status=status, warnings=absent)
+            check_same_size(scene.folder / f"status.png of {name}", codes.shape, scene.left, inputs.shape)
+        return replace(inputs, status=status)
 
     def solve(self, inputs: MapInputs, context: Context) -> Disparity:
         """Fuse the maps. Raise InputError for unsuitable maps or too little memory."""
@@ -332,8 +333,7 @@ class FuseMaps(GivenMaps[Disparity]):
         """Return size, range, number of maps, mean probability, median bound, and share of measured pixels."""
         sure = result.confidence["probability"] if result.probability is None else result.probability
         return {
-            "width": inputs.shape[1],
-            "height": inputs.shape[0],
+            **size_of(inputs.images),
             "max_disparity": result.search.max_disparity,
             "maps": len(inputs.maps),
             "expected_right": share(sure),
@@ -390,9 +390,8 @@ def map_confidence(
     shape = (images.shape[0], images.shape[1])
     maps = {name: as_map(one, name, shape) for name, one in given.items()}
     other = None if right_disparity is None else as_map(right_disparity, "right_disparity", shape)
-    bound = _promise(level, within).model_dump()
-    problem = Confidence({"max_disparity": max_disparity, "bound": bound, "measures": measures_named(measures)})
-    return problem.solve(MapInputs(images, maps, max_disparity, other), Context(available_memory()))
+    config = {"max_disparity": max_disparity, "bound": _promise(level, within), "measures": measures_named(measures)}
+    return Confidence(config).solve(MapInputs(images, maps, max_disparity, other), Context(available_memory()))
 
 
 def fuse_maps(
@@ -434,7 +433,7 @@ def fuse_maps(
     """
     pair = as_pair(left, right)
     arrays = {f"maps[{k}]": as_map(one, f"maps[{k}]", pair.shape) for k, one in enumerate(maps)}
-    promise = _promise(level, within).model_dump()
+    promise = _promise(level, within)
     config = {"within": promise["within"], "bound": promise if bound else None, "surfaces": surfaces}
     return FuseMaps(config).solve(MapInputs(pair, arrays, max_disparity), Context(available_memory()))
 
@@ -446,17 +445,17 @@ def measures_named(names: Sequence[str], option: str = "measures") -> list[str]:
     return list(MEASURES) if "all" in names else list(dict.fromkeys(names))
 
 
-def _promise(level: float, within: float) -> Bound:
+def _promise(level: float, within: float) -> dict[str, float]:
     values = {"level": float(level), "within": float(within)}
-    return config_file.load_config(Bound, ConfigData("bound", {}), values=values)
+    return config_file.load_config(Bound, ConfigData("bound"), values=values).model_dump()
 
 
 def largest(text: str | None) -> int | None:
     """Return the largest disparity from the command line, or None. Raise ConfigError if it is no valid number."""
     if text is None:
         return None
-    if not text.isdigit() or not 1 <= int(text) <= 16383:
-        raise ConfigError(f"--max-disparity: expected a whole number from 1 to 16383 (got {text!r})")
+    if not text.isdigit() or not 1 <= int(text) <= MAX_DISPARITY:
+        raise ConfigError(f"--max-disparity: expected a whole number from 1 to {MAX_DISPARITY} (got {text!r})")
     return int(text)
 
 
@@ -479,28 +478,28 @@ def with_maps(
     of_all, own = given_naming({**right_places, **places}, "--pattern", *coding)
     of_all = replace(of_all, any_scale=len(places) == 1)
     of_rights = replace(of_all, pattern="")
-    runs = [_Run(name, place, DisparityFiles(), own[name].over(of_all)) for name, place in places.items()]
-    rights = [_Run(name, place, _RIGHT_FILES, own[name].over(of_rights)) for name, place in right_places.items()]
     names = names_in_run([scene.name for scene in scenes], place)
+    runs = [_GivenRun(name, place, DisparityFiles(), own[name].over(of_all)) for name, place in places.items()]
     runs = [run.recognized(scenes, names, reporter) for run in runs]
+    rights = [_GivenRun(name, place, _RIGHT_FILES, own[name].over(of_rights)) for name, place in right_places.items()]
     made = []
     for scene in scenes:
         of_scene = names[scene.name]
         maps, right_maps = ([run.map_of(of_scene) for run in each] for each in (runs, rights))
         absent = [run.name for run, one in zip(runs, maps, strict=True) if one is None]
         absent += [f"{run.name} (right view)" for run, one in zip(rights, right_maps, strict=True) if one is None]
-        problem = scene.problem
+        there, problem = tuple(filter(None, maps)), scene.problem
         if not problem and not any(maps[: len(first)]):
             where = ", ".join(str(run.place) for run in runs[: len(first)])
             problem = f"{where}: no map of scene {scene.name}{DisparityFiles().searched(of_scene)}"
-        there, right_map = tuple(filter(None, maps)), next(iter(right_maps), None)
+        right_map = next(iter(right_maps), None)
         fields = {"left": scene.folder, **vars(scene), "problem": problem}  # an unusable folder has no left image
         made.append(MapsScene(**fields, pair=scene, maps=there, right_map=right_map, absent=tuple(absent)))
     return made
 
 
 @dataclass(frozen=True)
-class _Run:
+class _GivenRun:
     """One program's maps of one view: a folder, or a single map."""
 
     name: str
@@ -510,8 +509,7 @@ class _Run:
 
     def map_of(self, names: Sequence[str]) -> GivenMap | None:
         """Return the map of a scene, which may have any of these names, or None."""
-        single = os.path.isfile(self.place)
-        path = self.place if single else self.naming.files(self.files).find(self.place, names)
+        path = self.place if os.path.isfile(self.place) else self.naming.files(self.files).find(self.place, names)
         if path is None:
             return None
         status = path.parent / "status.png"
@@ -519,7 +517,9 @@ class _Run:
         scale = scale_of(path, self.naming.scale, self.naming.any_scale)
         return GivenMap(self.name, path, scale, self.naming.invalid, status if is_own else None)
 
-    def recognized(self, scenes: Sequence[StereoScene], names: Mapping[str, Sequence[str]], reporter: Reporter) -> _Run:
+    def recognized(
+        self, scenes: Sequence[StereoScene], names: Mapping[str, Sequence[str]], reporter: Reporter
+    ) -> _GivenRun:
         """Return the run with the recognized pattern of its maps, if no map of another program has a usual name."""
         if os.path.isfile(self.place):
             if len(scenes) > 1:
@@ -542,11 +542,7 @@ class _Run:
         return replace(self, naming=found)
 
 
-def loaded(one: GivenMap, shape: tuple[int, ...], scene: Scene) -> NDArray[np.float32]:
-    """Return a map. Raise InputError if it cannot be read or differs in size from the images."""
-    is_kitti = scene.protocol.startswith("kitti")
-    values = read_foreign_map(one.path, one.scale, one.invalid, is_kitti=is_kitti)
-    if values.shape != shape:
-        height, width = values.shape
-        raise InputError(f"{one.path}: {width} x {height}, but the images are {shape[1]} x {shape[0]}")
+def _loaded(one: GivenMap, scene: StereoScene, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    values = read_foreign_map(one.path, one.scale, one.invalid, is_kitti=scene.protocol.startswith("kitti"))
+    check_same_size(one.path, values.shape, scene.left, shape)
     return values
