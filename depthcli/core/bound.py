@@ -15,7 +15,7 @@ class Bound(ConfigModel):
 
 
 class DepthBound(Bound):
-    """The same of a map in meters."""
+    """Requirements on a map in meters."""
 
     within: float = Field(
         default=0.03, ge=0.001, le=1, description="error up to which a value is right in probability.pfm, meters"
@@ -23,7 +23,7 @@ class DepthBound(Bound):
 
 
 class VolumeBound(Bound):
-    """The same of a registration of volumes, in mm."""
+    """Requirements on a registration of volumes, in mm."""
 
     within: float = Field(
         default=3.0, ge=0.5, le=50, description="error up to which a voxel is right in the volume probability, mm"

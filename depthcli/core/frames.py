@@ -1,4 +1,4 @@
-"""Inputs of the algorithms: a rectified pair; a frame of color and depth, alone or with a further measurement."""
+"""Inputs of the algorithms: a rectified pair; a frame of color and depth, possibly with a second measurement."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class StereoPair:
     def grey(self) -> tuple[Image, Image]:
         """Both images as (H, W) luma over the full range of their dtype; 8-bit color images give uint16.
 
-        A sum of three channels is finer than one of them. Rounded to 8 bits, pixels of weak texture would become alike.
+        Rounded to 8 bits, pixels of weak texture would become equal.
         """
         left, right = self.full_range
         if left.ndim == 3 and left.dtype == np.uint8:

@@ -1,4 +1,4 @@
-"""Result maps: values with a reason for every pixel that has none."""
+"""Result maps: values, and a status that explains every pixel without one."""
 
 from __future__ import annotations
 
@@ -20,16 +20,15 @@ Image8 = NDArray[np.uint8]
 class _Flags(IntFlag):
     @classmethod
     def _missing_(cls, value: object) -> Any:
-        # The status of a pixel is an integer of numpy, which enum does not take for one.
+        # enum does not accept integers of numpy.
         return cls(int(value)) if isinstance(value, np.integer) else super()._missing_(value)
 
 
 class Status(_Flags):
     """Reason why a pixel has no value (NaN), or how its value was changed.
 
-    ``OCCLUDED`` to ``NO_DATA`` are reasons why the matcher measured no reliable value. ``FILLED`` describes a value
-    that is there; a filled pixel keeps its reason: ``OCCLUDED | FILLED``. ``SMOOTHED`` serves the steps of a method:
-    results and files lack it, so that 0 selects the measured pixels.
+    ``OCCLUDED`` to ``NO_DATA`` are reasons why the matcher measured no reliable value. A filled pixel keeps its reason:
+    ``OCCLUDED | FILLED``. Only steps of a method use ``SMOOTHED``: in results and files, 0 selects the measured pixels.
     """
 
     MEASURED = 0
@@ -44,8 +43,8 @@ class Status(_Flags):
 class DepthStatus(_Flags):
     """How a pixel of a sensor's depth map was changed; ``KEPT`` alone: measured and unchanged (or smoothed).
 
-    At most one of the bits up to ``EMPTY`` is set; ``SAMPLED`` is additional information. ``SMOOTHED`` serves the steps
-    of a method: results and files lack it.
+    At most one of the bits up to ``EMPTY`` is set; ``SAMPLED`` is additional information. Only steps of a method use
+    ``SMOOTHED``; results and files do not have it.
     """
 
     KEPT = 0
@@ -59,7 +58,7 @@ class DepthStatus(_Flags):
 
 
 class VolumeStatus(_Flags):
-    """What is known of a voxel of a registration."""
+    """Status of a voxel of a registration."""
 
     BOUNDED = 0
     OPEN_BOUND = 1
@@ -91,7 +90,7 @@ VOLUME_STATUS_HELP = {
     VolumeStatus.BOUNDED: "the bound of the error is finite",
     VolumeStatus.OPEN_BOUND: "open bound: the search ends before the error does; bound.* is +inf",
 }
-"""Bit -> what it says of a voxel of a registration."""
+"""Bit -> meaning for a voxel of a registration."""
 
 
 def without_smoothed(status: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -1,7 +1,6 @@
 """Large work arrays that are recycled instead of returned to the operating system.
 
-A cost volume is tens of megabytes. Fresh memory costs a page fault every 4 KiB at its first touch, which
-takes longer than most kernels here need to fill it; a block that was used before costs nothing.
+A cost volume is tens of megabytes. Page faults of fresh memory take longer than most kernels need to fill it.
 """
 
 from __future__ import annotations
@@ -17,17 +16,17 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 BASE_BYTES = 160 << 20
-"""Interpreter, libraries and kernels, in addition to what the estimates of methods hold (measured: 125 to 155 MiB)."""
+"""Memory of interpreter, libraries and kernels, which estimates of methods leave out (measured: 125 to 155 MiB)."""
 
-_MIN_BYTES = 1 << 20  # of an array from the pool; below, malloc itself recycles
-_MAX_FREE_BYTES = 256 << 20  # of all free blocks together; those of very large images are not worth keeping
+_MIN_BYTES = 1 << 20  # of an array from the pool; malloc recycles smaller ones
+_MAX_FREE_BYTES = 256 << 20  # of all free blocks together
 
 _lock = threading.RLock()  # re-entrant: a finalizer may run inside ``empty``
 _free: list[NDArray[np.uint8]] = []
 
 
 def _keep_freed_memory() -> Callable[[int], int] | None:
-    # Ask the C library to keep what is freed, for arrays below the pool's size; return what gives it back. glibc only.
+    """Make glibc keep freed memory of small arrays; return its function that gives the memory back."""
     trim_threshold, mmap_threshold = -1, -3
     try:
         library = ctypes.CDLL(None)
@@ -51,7 +50,7 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     with _lock:
         fitting = [(block.size, k) for k, block in enumerate(_free) if size <= block.size <= 2 * size]
         block = _free.pop(min(fitting)[1]) if fitting else np.empty(size, np.uint8)
-    # Views of an array hold on to what lies under it, so the lease lives as long as the last view.
+    # Views keep their base array, so the lease lives as long as the last view.
     lease = (ctypes.c_uint8 * block.size).from_buffer(block.data)
     weakref.finalize(lease, _give, block).atexit = False
     leased: NDArray[Any] = np.frombuffer(memoryview(lease), np.uint8, size).view(kind).reshape(shape)
@@ -72,10 +71,7 @@ def kept() -> int:
 
 
 def release(above: int = -1) -> None:
-    """Return every free block to the operating system where they have more than ``above`` bytes.
-
-    This is for work that goes on with arrays of another size.
-    """
+    """Return all free blocks to the operating system if they have more than ``above`` bytes."""
     if kept() <= above:
         return
     with _lock:

@@ -2,8 +2,8 @@
 
 A *method* is one algorithm: one module with one frozen pydantic model, whose fields are its parameters and whose
 ``__call__`` runs it. A *family* is the package with the modules. In a config a method is written as its module's
-name, ``census``, or with parameters, ``{method: census, window: [9, 7]}``. Adding a method is adding a file; nothing
-else is edited. Plug-ins add methods, too (see ``plugins``).
+name, ``census``, or with parameters, ``{method: census, window: [9, 7]}``. A new file is a new method; plug-ins add
+methods, too (see ``plugins``).
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ def _takes(annotation: Any, kinds: tuple[type, ...]) -> bool:
 
 
 class ConfigModel(BaseModel):
-    """Base of everything that a config is made of: an unknown key is an error that names the key that may be meant."""
+    """Base of all parts of a config. An unknown key is an error that suggests a similar one."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     renamed: ClassVar[dict[str, str]] = {}
-    """Former names of fields and their names today, which the error for such an unknown key suggests."""
+    """Former name of a field -> its name, which the error for the former name suggests."""
 
     @field_validator("*", mode="before")
     @classmethod
@@ -96,7 +96,7 @@ class Method(ConfigModel):
     """Base of every algorithm; subclasses define fields and ``__call__``."""
 
     aliases: ClassVar[tuple[str, ...]] = ()
-    """Usual abbreviations of the method's name, which a config may use instead of it, in any case."""
+    """Abbreviations of the method's name that a config may use, in any case."""
 
     @classmethod
     def method_name(cls) -> str:
@@ -119,8 +119,8 @@ class RootConfig(ConfigModel):
 
     ``{pipeline: local, cost: census, max_disparity: 60}`` reads as the field ``max_disparity`` of the command and a
     pipeline with its field ``cost``. If the field has a default, it is used for a file that names no method. A config
-    whose ``flattened`` is empty has no such field. The key ``run``, which a run folder's ``run.yaml`` adds about how it
-    was made, is accepted and ignored, so that this file is a config again.
+    whose ``flattened`` is empty has no such field. The key ``run`` of a run folder's ``run.yaml`` is ignored, so that
+    this file is a config, too.
     """
 
     command: ClassVar[str] = ""
@@ -167,7 +167,7 @@ class RootConfig(ConfigModel):
 
 
 class Family(Registry[Method]):
-    """The methods in the public modules of one package, and those that plug-ins add; ``key`` names one in configs."""
+    """The methods in the public modules of one package, and of plug-ins; ``key`` names one in configs."""
 
     def __init__(self, package: str, key: str = "method") -> None:
         super().__init__(package)
@@ -175,7 +175,7 @@ class Family(Registry[Method]):
 
     @classmethod
     def of(cls, package: str) -> Family:
-        """Return the family that ``package`` declares; TypeError where it declares none."""
+        """Return the family that ``package`` declares. Raise TypeError if it declares none."""
         importlib.import_module(package)
         family = registries.get(package)
         if not isinstance(family, cls):
@@ -186,7 +186,6 @@ class Family(Registry[Method]):
         """Return the method that a config's ``value`` describes: a name, a mapping, or a method itself.
 
         Errors of pydantic have a location below the family's field, so that they point at the line in the file.
-        ``info`` is of the validation of the config, if it is one.
         """
         if isinstance(value, Method):
             return value
@@ -201,10 +200,7 @@ class Family(Registry[Method]):
         return self.load(known).model_validate(fields, context=info and info.context)
 
     def suggestions(self, name: object, *others: str) -> str:
-        """Return the end of a message about an unknown name: the one that may be meant, and all, with their packages.
-
-        Without a name there was none; ``others`` are further names that are allowed there.
-        """
+        """Return the end of a message about an unknown name: a similar name, and all names, with ``others``."""
         names, shown = [*others, *self.names()], [*others, *self.own_names]
         shown += [
             f"{each} ({plugin.package})" for each in sorted(self.added) for plugin in plugins_of([self.added[each]])
@@ -225,7 +221,7 @@ def method_of(package: str, key: str = "method") -> Any:
 
 
 def used_files(value: Any) -> dict[str, Path]:
-    """Return role -> file, of the files that the methods of a config use; ConfigError where one is missing."""
+    """Return role -> file for all files of a config's methods. Raise ConfigError if one is missing."""
     files: dict[str, Path] = {}
     for part in parts_of(value):
         for role, file in part.used_files().items() if isinstance(part, Method) else ():
@@ -234,10 +230,7 @@ def used_files(value: Any) -> dict[str, Path]:
 
 
 def used_plugins(value: Any) -> set[Plugin]:
-    """Return the plug-ins that a config, or an object, is made of.
-
-    A word of the config counts as the name of a class that a plug-in adds (measures are written as names alone).
-    """
+    """Return the plug-ins of the objects in a config, and of its words, since measures are written as names alone."""
     added = {name: kind for registry in registries.values() for name, kind in registry.added.items()}
     return plugins_of(added.get(each, str) if isinstance(each, str) else type(each) for each in parts_of(value))
 

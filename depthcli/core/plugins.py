@@ -1,9 +1,8 @@
 """Registries of named classes, one in each module of a package, and plug-ins, which add others.
 
 Plug-ins are Python files and installed modules that ``--plugin``, or the key ``plugins`` of a config, names. One adds
-its public classes whose base is one of a registry's package, its functions with the decorator
-``depthcli.commands.command``, and the files ``presets/COMMAND/NAME.yaml`` next to it. A process that unpickles objects
-of such classes loads the plug-ins first.
+public classes derived from a base in a registry's package, functions with the decorator ``depthcli.commands.command``,
+and the files ``presets/COMMAND/NAME.yaml`` next to it. A process loads plug-ins before it unpickles such objects.
 """
 
 from __future__ import annotations
@@ -35,10 +34,7 @@ registries: dict[str, Registry[Any]] = {}
 
 
 class Registry(Generic[T]):
-    """Named classes of one kind, each derived from a base class that their package defines.
-
-    Public modules of the package contain our own classes, one each.
-    """
+    """Named classes derived from a base class that their package defines; its public modules have one each."""
 
     def __init__(self, package: str) -> None:
         self.package = package
@@ -57,10 +53,9 @@ class Registry(Generic[T]):
         return [*self.own_names, *sorted(self.added)]
 
     def find(self, name: str) -> str | None:
-        """Return the name as :meth:`load` takes it, None if there is none.
+        """Return the name for :meth:`load`, or None if it is unknown; case, dashes and underscores do not matter.
 
-        The name is in any case, with dashes or underscores. Our own names come first, then their aliases, then the
-        names of plug-ins, then their aliases: a plug-in does not change what a config means.
+        Our own names and their aliases have precedence, so that a plug-in does not change the meaning of a config.
         """
         plain = plain_name(name)
         if plain in self.own_names:
@@ -74,7 +69,7 @@ class Registry(Generic[T]):
         return next((name for name, others in aliases if plain in map(plain_name, others)), None)
 
     def load(self, name: str) -> type[T]:
-        """Return the class of a name that :meth:`find` or :meth:`names` returned."""
+        """Return the class of a name from :meth:`find` or :meth:`names`."""
         if name not in self.added and name not in self._own:
             self._own[name] = self._class_in(importlib.import_module(f"{self.package}.{name}"))
         return self.added.get(name) or self._own[name]
@@ -84,11 +79,11 @@ class Registry(Generic[T]):
         found = [v for v in own if registry_of(v) is self]
         if len(found) != 1:
             names = " and ".join(v.__name__ for v in found) or "no class"
-            raise TypeError(f"{module.__name__} defines {names}; a file of this folder holds one class of its family")
+            raise TypeError(f"{module.__name__} defines {names}; a file of this folder has one class of its family")
         return found[0]
 
     def add(self, kind: type[T]) -> None:
-        """Add a class of a plug-in; ValueError if its name is taken."""
+        """Add a class of a plug-in. Raise ValueError if its name is taken."""
         name = registered_name(kind)
         if self.find(name) is not None:
             raise ValueError(f"class {kind.__name__}: there is a {name!r} in {self.package} already")
@@ -101,7 +96,7 @@ def plain_name(name: str) -> str:
 
 
 def registry_of(kind: type) -> Registry[Any] | None:
-    """Return the registry that a class belongs to, by the modules of its base classes; None if there is none."""
+    """Return the registry of a class, by the modules of its base classes, or None."""
     for base in kind.__mro__:
         if base.__module__ in registries:
             return registries[base.__module__]
@@ -109,7 +104,7 @@ def registry_of(kind: type) -> Registry[Any] | None:
 
 
 def registered_name(kind: type) -> str:
-    """Return the name of a class in its registry: its module's; for a class of a plug-in its own in snake case."""
+    """Return the name of a class in its registry: its module's name, or a plug-in's class name in snake case."""
     if kind.__module__.startswith("depthcli."):
         return kind.__module__.rpartition(".")[2]
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", kind.__name__).lower()
@@ -137,15 +132,15 @@ class Plugin:
 
 
 loaded: dict[str, Plugin] = {}
-"""Name of a module -> its plug-in, of all that this process has loaded."""
+"""Name of a module -> its plug-in, for all loaded ones."""
 commands: dict[str, Callable[..., int]] = {}
-"""Name -> function, of the commands that plug-ins add."""
+"""Name -> function of the commands of plug-ins."""
 
 
 def load_plugin(name: str, folder: Path = Path()) -> None:
     """Load a plug-in, a file ``NAME.py`` in ``folder`` or an installed module, unless it is loaded already.
 
-    ConfigError if it cannot be imported, adds nothing, or adds something under a name that is taken.
+    Raise ConfigError if it cannot be imported, adds nothing, or adds a name that is taken.
     """
     source = module = name
     if name.endswith(".py"):
@@ -159,7 +154,7 @@ def load_plugin(name: str, folder: Path = Path()) -> None:
         loaded[module] = plugin = _described(modules[0], source)
         added = [_add(value) for part in modules for value in _public(part)]
         if not any(added) and not (plugin.folder / "presets").is_dir():
-            raise TypeError("it holds no command, and no subclass of a method, layout, protocol or the like")
+            raise TypeError("it has no command, and no subclass of a method, layout, protocol or the like")
     except (KeyboardInterrupt, Terminated):
         raise
     except BaseException as error:  # a stranger's code may raise anything, or exit
@@ -170,7 +165,7 @@ def load_plugin(name: str, folder: Path = Path()) -> None:
 
 
 def forget(module: str) -> None:
-    """Remove the plug-in of a module, and all that it adds, from this process."""
+    """Remove the plug-in of a module and its additions from this process."""
     loaded.pop(module, None)
     sys.modules.pop(module, None)
     kinds: list[dict[str, Any]] = [commands, *(registry.added for registry in registries.values())]
@@ -180,13 +175,13 @@ def forget(module: str) -> None:
 
 
 def plugins_of(kinds: Iterable[type]) -> set[Plugin]:
-    """Return the plug-ins that classes belong to; our own belong to none."""
+    """Return the plug-ins of classes; our own have none."""
     roots = {kind.__module__.partition(".")[0] for kind in kinds}
     return {plugin for plugin in loaded.values() if plugin.root in roots}
 
 
 def plugin_behind(error: BaseException) -> str:
-    """Return the plug-in whose code raised an error or called the code that did, with file and line; "" if none did."""
+    """Return the plug-in in the traceback of an error, with file and line, or an empty text."""
     plugins = {plugin.root: plugin for plugin in loaded.values()}
     for root, file, line in reversed(_frames(error)):
         if root in plugins:
@@ -195,11 +190,8 @@ def plugin_behind(error: BaseException) -> str:
 
 
 def versions_here(plugins: Iterable[Plugin]) -> dict[str, str]:
-    """Return package, or file -> version that this process has loaded, sorted."""
-    versions = {}
-    for plugin in sorted(plugins, key=attrgetter("package")):
-        versions[plugin.package] = loaded[plugin.module].version
-    return versions
+    """Return package or file -> loaded version, sorted."""
+    return {each.package: loaded[each.module].version for each in sorted(plugins, key=attrgetter("package"))}
 
 
 def _imported(name: str, source: str) -> Iterator[ModuleType]:
@@ -239,7 +231,7 @@ def _public(module: ModuleType) -> set[Any]:
 
 
 def _add(value: Any) -> bool:
-    """Register a class or a command; return whether it is either. ValueError if its name is taken."""
+    """Register a class or command; return whether the value is one. Raise ValueError if its name is taken."""
     if getattr(value, "is_command", False):
         name = value.__name__.replace("_", "-")
         if name in commands:
@@ -253,6 +245,6 @@ def _add(value: Any) -> bool:
 
 
 def _frames(error: BaseException) -> list[tuple[str, str, int]]:
-    """Return first part of the module's name, file and line, of every call that an error went through."""
+    """Return top-level package, file and line of each call in an error's traceback."""
     calls = traceback.walk_tb(error.__traceback__)
     return [(f.f_globals.get("__name__", "").partition(".")[0], f.f_code.co_filename, line) for f, line in calls]

@@ -1,4 +1,4 @@
-"""What every pipeline returns in addition to its main map."""
+"""Results of every pipeline in addition to its main map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Text for people: foreign text made harmless for terminals, tables and spreadsheets; hints; sizes; like warnings."""
+"""Text for people: escapes for terminals, tables and spreadsheets; hints; sizes; kinds of warnings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")
 _URL_AS_PATH = re.compile(r"\b(https?|s3|gs|ftp|memory):/(?=[^/\s])")  # paths have one slash of the two
 _PASSWORD = re.compile(r"(\b[a-z][a-z0-9+.-]{1,20}:/{1,2})[^/\s@]+@", re.IGNORECASE)
-# To its end: a slash may be part of a signature as well as begin the path of a file in an archive.
+# Up to its end, since a slash may be part of a signature.
 _QUERY = re.compile(
     r"""(\b[a-z][a-z0-9+.-]{1,20}:/[^\s?'"]{0,4096})\?[^\s'"]*?(?=['"]|[:;,)]*(?:\s|$))""", re.IGNORECASE
 )
@@ -18,9 +18,9 @@ _FORMULA_STARTS = ("=", "+", "-", "@")  # cells that begin so are computed by sp
 
 
 def printable(text: str) -> str:
-    """Return ``text`` with escapes for what cannot be shown: control characters, bytes of names that are not UTF-8.
+    """Return ``text`` with escapes for control characters except line breaks, and for bytes that are not UTF-8.
 
-    Line breaks stay. Python represents such bytes as lone surrogates, which cannot be written to a stream.
+    Python represents such bytes as lone surrogates, which cannot be written to a stream.
     """
     if text.isprintable():
         return text
@@ -30,25 +30,19 @@ def printable(text: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """Return ``text`` on one line, with escapes for line breaks and for what cannot be shown."""
+    """Return ``text`` on one line, with escapes for line breaks, too."""
     return printable(text).replace("\n", "\\n")
 
 
 def without_secrets(text: str) -> str:
-    """Return ``text`` with URLs as they are written, but without queries and passwords, such as signatures of a store.
-
-    A URL in a path has a single slash, ``https:/host/a.zip``.
-    """
+    """Return ``text`` without queries and passwords of URLs; a URL in a path has one slash, ``https:/host/a.zip``."""
     if ":/" not in text:
         return text
     return _URL_AS_PATH.sub(r"\1://", _QUERY.sub(r"\1", _PASSWORD.sub(r"\1", text)))
 
 
 def csv_cell(value: object) -> object:
-    """Return ``value`` as a cell of a CSV file: a text that a spreadsheet would compute gets an apostrophe before it.
-
-    Numbers stay, those in texts too; line breaks and what cannot be shown are escaped.
-    """
+    """Return ``value`` as a cell of a CSV file: one line of text, with an apostrophe before a formula."""
     if not isinstance(value, str):
         return value
     text = one_line(value)
@@ -65,14 +59,14 @@ def short(value: object) -> str:
     """Return a value as text for a message, on one line of at most 64 characters."""
     try:
         text = json.dumps(value, ensure_ascii=False)
-    except (TypeError, ValueError):  # no plain data, or a number of more digits than Python writes
+    except (TypeError, ValueError):  # no plain data, or an integer with too many digits
         text = str(value) if not isinstance(value, int) else "a number of thousands of digits"
     text = "".join(c if c.isprintable() else "?" for c in text)
     return text if len(text) <= 64 else text[:61] + "..."
 
 
 def did_you_mean(name: str, known: Iterable[str], renamed: Mapping[str, str] | None = None, cutoff: float = 0.6) -> str:
-    """Return a hint at the known name that may be meant, a renamed thing's new name or a similar one; or nothing."""
+    """Return a hint at the new name of something renamed, or at a similar known name; or an empty text."""
     near = [renamed[name]] if renamed and name in renamed else difflib.get_close_matches(name, list(known), 1, cutoff)
     return f"; did you mean {near[0]!r}?" if near else ""
 
@@ -83,7 +77,7 @@ def show_bytes(size: int) -> str:
 
 
 def side_and_distance(ends: str, millimeters: float) -> str:
-    """Return a position along an axis in words, ``S 12 mm``: the letter of the side of the origin, and the distance."""
+    """Return a position along an axis as side of the origin and distance, ``S 12 mm``."""
     return f"{ends[millimeters < 0]} {abs(millimeters):.0f} mm"
 
 
@@ -102,6 +96,6 @@ def kind_of_warning(scene: str, text: str) -> str:
 
 
 def without_file(line: str) -> str:
-    """Return the line without the path that it begins with, if it does."""
+    """Return the line without a path at its beginning."""
     start, colon, rest = line.partition(": ")
     return rest if colon and "/" in start else line

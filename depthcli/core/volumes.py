@@ -1,4 +1,4 @@
-"""Volumes, where their voxels are, and two of them on one grid: the input of registration confidence."""
+"""Volumes on their grids, and registered pairs, the input of registration confidence."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ENDS = ("SI", "AP", "RL")
 
 @dataclass(frozen=True)
 class Grid:
-    """Where the voxels of a volume are, in mm and in the LPS frame of ITK."""
+    """Positions of a volume's voxels, mm, in ITK's LPS frame."""
 
     size: tuple[int, int, int]  # voxels along x, y, z
     spacing: tuple[float, float, float]  # distance of voxels along the volume's own axes, mm
@@ -51,8 +51,8 @@ class Grid:
     def anatomical_axes(self) -> tuple[tuple[int, int, int], tuple[int, ...]]:
         """Return how an array on this grid is turned so that its slices appear as radiologists display them.
 
-        That is the order of its axes (those nearest to superior-inferior, anterior-posterior and right-left), and the
-        positions in it of the axes that run the opposite way and have to be flipped.
+        Return the order of its axes (nearest to superior-inferior, anterior-posterior and right-left), and the
+        positions in that order of the axes to flip.
         """
         # Row a: how far the array's axis a (z, y, x) runs towards inferior, posterior and left of the LPS frame.
         along = self.axes.T[::-1] @ np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])

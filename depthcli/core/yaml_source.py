@@ -1,4 +1,4 @@
-"""YAML as plain data, with the place in the file of every value; and back."""
+"""Read YAML as plain data with the line of every value, and write it."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from depthcli.core.text import short
 Location = tuple[str | int, ...]
 
 OVERRIDES = ("--", "override ")
-"""Prefixes of places of values that are in no file: options of the command line, and keywords of Python."""
+"""Prefixes of places that are no files: options of the command line, and overrides in Python."""
 
-# Far above any config, far below what would take long or much memory (anchors can multiply nodes).
+# Limits for damaged or malicious files, since anchors can multiply nodes.
 _MAX_BYTES = 1 << 20
 _MAX_NODES = 50_000
 _MAX_DEPTH = 60
@@ -29,7 +29,7 @@ _OLD_NUMBER = re.compile(r"[-+]?(0[0-7_]+$|[\d_]+:)")  # octal and sexagesimal n
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe loader that also reads ``1e-3`` as a number, as YAML 1.2 does, and leaves dates as text."""
+    """Safe loader that reads ``1e-3`` as a number, as YAML 1.2 does, and dates as text."""
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         node: yaml.MappingNode = super().compose_mapping_node(anchor)
@@ -64,8 +64,8 @@ class ConfigData:
     def place(self, location: Location) -> str:
         """Return the place of the value at ``location``, for messages.
 
-        That is the last option or override that set the value or a part of it; otherwise its own ``file:line``, or the
-        place of the nearest enclosing value with a known place.
+        It is the last option or override that set the value or a part of it; otherwise the ``file:line`` of the value
+        or of the nearest enclosing value.
         """
         within = [place for at, place in self.places.items() if at[: len(location)] == location]
         if location and (changed := [place for place in within if place.startswith(OVERRIDES)]):
@@ -75,7 +75,7 @@ class ConfigData:
 
 
 def read_config(path: Path) -> ConfigData:
-    """Parse a config file; ConfigError where it cannot be read or is not a YAML mapping."""
+    """Parse a config file. Raise ConfigError if it cannot be read or is no YAML mapping."""
     try:
         if path.is_fifo():
             raise ConfigError(f"{path}: cannot be read (a pipe)")
@@ -93,7 +93,7 @@ def read_config(path: Path) -> ConfigData:
 
 
 def parse_config(text: str, name: str) -> ConfigData:
-    """Parse the text of a config file, which messages call ``name``; ConfigError where it is no mapping."""
+    """Parse the text of the config file ``name``. Raise ConfigError if it is no YAML mapping."""
     places: dict[Location, str] = {}
     data = parse_value(text, name, places)
     if not isinstance(data, dict):
@@ -103,9 +103,9 @@ def parse_config(text: str, name: str) -> ConfigData:
 
 
 def parse_value(text: str, name: str, places: dict[Location, str] | None = None) -> Any:
-    """Return a YAML text of a file, or of an option, as plain data; ConfigError where it is not valid.
+    """Return the YAML text of a file or option as plain data. Raise ConfigError if it is invalid.
 
-    ``places`` gets ``file:line`` of every value in a file.
+    ``file:line`` of every value is added to ``places``.
     """
     nodes = 0
 
@@ -153,7 +153,7 @@ def parse_value(text: str, name: str, places: dict[Location, str] | None = None)
 
 
 def to_yaml(value: Any) -> str:
-    """Return plain data as YAML in the given order, lists without mappings or lists in them on one line."""
+    """Return plain data as YAML in the given order; flat lists are on one line."""
     return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110))
 
 

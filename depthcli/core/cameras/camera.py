@@ -1,4 +1,4 @@
-"""One camera: where it projects a point to, with or without the distortion of its lens."""
+"""One camera and its projection, with or without the distortion of its lens."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 
-# How many distortion coefficients OpenCV's models take, by whether it is the fisheye model.
+# Fisheye model or not -> allowed numbers of OpenCV's distortion coefficients.
 _COEFFICIENT_COUNTS = {False: (4, 5, 8, 12, 14), True: (4,)}
 
 _MAX_TRANSLATION = 1.0  # meters between the cameras of one sensor; a longer one is in another unit
@@ -67,7 +67,7 @@ def off_center(camera: Intrinsics, size: tuple[int, int]) -> str:
 
 
 def typical_intrinsics(width: int, height: int) -> Intrinsics:
-    """Return those that drivers of the first Kinect and its kin assume: 525 pixels at 640, the center of the image."""
+    """Return the defaults of drivers of Kinect v1 and similar: 525 pixels at a width of 640, the image center."""
     focal = 525.0 * width / 640
     return Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
 
@@ -77,12 +77,12 @@ Place = tuple[tuple[float, ...], tuple[float, ...]]
 
 
 def is_rotation(matrix: NDArray[np.float64]) -> bool:
-    """Return whether a (3, 3) matrix turns, within 1e-3, and does nothing else."""
+    """Return whether a (3, 3) matrix is a rotation, within 1e-3."""
     return bool(np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3) and np.linalg.det(matrix) > 0)
 
 
 def check_place(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> None:
-    """Raise InputError where (3, 3) is no rotation, or (3,) no distance of two cameras of one sensor, meters."""
+    """Raise InputError if (3, 3) is no rotation, or (3,) is too long between two cameras of one sensor, meters."""
     if not is_rotation(rotation):
         raise InputError("depth_to_color: the rotation is not a rotation matrix")
     if not np.linalg.norm(translation) <= _MAX_TRANSLATION:
@@ -91,12 +91,12 @@ def check_place(rotation: NDArray[np.float64], translation: NDArray[np.float64])
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera with lens distortion; InputError where the matrix or the number of coefficients cannot be."""
+    """A camera with lens distortion. Raise InputError for an invalid matrix or number of coefficients."""
 
     matrix: NDArray[np.float64]  # (3, 3), pixels
     # Of OpenCV's pinhole model (k1, k2, p1, p2, k3 ...) or, with ``fisheye``, of its fisheye model (k1 to k4).
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    size: tuple[int, int] | None = None  # (width, height) of its images, None where it is not known
+    size: tuple[int, int] | None = None  # (width, height) of its images; None: unknown
     fisheye: bool = False
 
     def __post_init__(self) -> None:
@@ -114,7 +114,7 @@ class Camera:
 
     @property
     def coefficients(self) -> NDArray[np.float64]:
-        """The distortion as OpenCV takes it."""
+        """The distortion coefficients for OpenCV."""
         return np.asarray(self.distortion, np.float64)
 
     @property

@@ -1,4 +1,4 @@
-"""Two cameras at fixed places, and their images rectified: brought to a common plane, where rows correspond."""
+"""Two cameras at fixed places, and the rectification of their images, after which rows correspond."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MAX_SIZE_RATIO = 1.25  # of the widths of the two cameras' images
 class Rig:
     """Two cameras that do not move relative to each other.
 
-    InputError where the matrix is not a rotation, the cameras have one position, or only one has a fisheye lens.
+    Raise InputError if the matrix is no rotation, the cameras have one position, or only one has a fisheye lens.
     """
 
     left: Camera  # of a color and an infrared camera, the color camera, even if it is on the right
@@ -37,9 +37,9 @@ class Rig:
         if not is_rotation(self.rotation):
             raise InputError("calibration: R is not a rotation")
         if not np.isfinite(self.translation).all() or not np.linalg.norm(self.translation) > 0:
-            raise InputError("calibration: the cameras stand at one place")
+            raise InputError("calibration: both cameras are at the same place")
         if self.left.fisheye != self.right.fisheye:
-            raise InputError("calibration: one fisheye lens and one that is none cannot be rectified together")
+            raise InputError("calibration: a fisheye camera cannot be rectified with another one")
 
     @property
     def baseline(self) -> float:
@@ -92,9 +92,9 @@ class Rig:
         rotation, rotation_right, projection, projection_right = (np.asarray(part, np.float64) for part in parts)
         along, across = projection_right[0, 3], projection_right[1, 3]
         if abs(across) > max_tilt * abs(along):
-            raise InputError("the cameras lie one above the other; turn the images by 90 degrees and calibrate them so")
+            raise InputError("one camera is above the other; turn the images by 90 degrees and calibrate them so")
         if along > 0 and not mirrored:
-            raise InputError("the right camera stands to the left of the left one; exchange the images and cameras")
+            raise InputError("the right camera is to the left of the left one; exchange the images and cameras")
         rectified = RectifiedRig(self, size, right_size, rotation, rotation_right, projection, projection_right)
         if min_overlap and rectified.overlap() < min_overlap:
             raise InputError("the two cameras see nothing in common")

@@ -1,4 +1,4 @@
-"""Disparity and depth of a rectified pair: the formulas of triangulation, in one place."""
+"""Disparity and depth of a rectified pair: the formulas of triangulation."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def disparity_of_depth(depth: NDArray[np.floating[Any]], fb: float, offset: floa
 class PairGeometry:
     """The left camera of a rectified pair and the position of the right one.
 
-    InputError where numbers are not finite, or the focal lengths or the baseline are not positive.
+    Raise InputError if numbers are not finite, or the focal lengths or the baseline are not positive.
     """
 
     left: Intrinsics
@@ -69,26 +69,26 @@ class PairGeometry:
     ) -> NDArray[np.float32]:
         """Return how far the depth may be off if the disparity is off by ``bound`` pixels, float32, meters.
 
-        That is farther behind the value than in front of it: the wider side counts. Infinite where the disparity may be
-        0, NaN where depth or bound is unknown.
+        It is the larger distance, behind the surface. It is infinite if the disparity may be 0, and NaN if depth or
+        bound is unknown.
         """
         smallest = disparity - bound
         behind = self.depth(smallest) - self.depth(disparity)
         return np.where(smallest + np.float32(self.offset) > 0, behind, disparity * np.float32(0) + np.float32(np.inf))
 
     def doubts(self, width: int, height: int) -> str:
-        """Return why numbers that are for images of no known size are probably not for this one; "": they may be."""
+        """Return why numbers without an image size probably do not fit this one, or an empty text."""
         return off_center(self.left, (width, height)) if self.size is None else ""
 
     def for_size(self, width: int, height: int) -> PairGeometry:
-        """Return the same cameras with images of that size; InputError where they are of another shape."""
+        """Return the cameras for images of another size. Raise InputError if their aspect ratio differs."""
         if self.size is None or self.size == (width, height):
             return replace(self, size=(width, height))
         across, down = width / self.size[0], height / self.size[1]
         if abs(across - down) > _ROUNDING * max(across, down) + 1 / min(*self.size, width, height):
             raise InputError(f"calibrated for {self.size[0]} x {self.size[1]} pixels, the map has {width} x {height}")
         left = self.left
-        # The center of the first pixel is (0, 0): its corner is what stays when the size changes.
+        # The center of the first pixel is (0, 0); its corner stays when the size changes.
         center = ((left.cx + 0.5) * across - 0.5, (left.cy + 0.5) * down - 0.5)
         scaled = Intrinsics(left.fx * across, left.fy * down, *center)
         return PairGeometry(scaled, self.baseline, self.offset * across, (width, height))
