@@ -154,12 +154,12 @@ def main(arguments: list[str] | None = None) -> int:
     silence_warnings()
     with contextlib.suppress(ValueError):  # not the main thread
         signal.signal(signal.SIGTERM, _terminate)
-    said = set[str]()
+    printed = set[str]()
 
     def is_new(record: logging.LogRecord) -> bool:  # each warning of a call is printed once
-        text, n_before = record.getMessage(), len(said)
-        said.add(text)
-        return len(said) > n_before
+        text, n_before = record.getMessage(), len(printed)
+        printed.add(text)
+        return len(printed) > n_before
 
     logging.getLogger("depthcli").addFilter(is_new)
     try:

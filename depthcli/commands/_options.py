@@ -139,7 +139,7 @@ class PairOptions(SceneOptions):
 
     left: Path | None = option(None, metavar="FILE", help="Left image, pattern, folder or video; replaces --input.")
     right: Path | None = option(None, metavar="FILE", help="Right image, likewise.")
-    halves: str | None = option(None, metavar="HOW", help="--left holds both views: left-right or top-bottom.")
+    halves: str | None = option(None, metavar="HOW", help="--left has both views: left-right or top-bottom.")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -187,10 +187,10 @@ def _with_base(config: ConfigData, path: Path, command: str, chain: tuple[Path, 
     name, place = config.data.pop("base"), f"{config.place(('base',))}: base"
     if not isinstance(name, str):
         raise ConfigError(f"{place}: expected the name of a preset or a file (got {short(name)})")
-    beside = (file for file in (path.parent / name, path.parent / f"{name}.yaml") if os.path.isfile(file))
-    target = next((file for file in beside if file.resolve() != path.resolve()), None) or find_preset(command, name)
+    near = (file for file in (path.parent / name, path.parent / f"{name}.yaml") if os.path.isfile(file))
+    target = next((file for file in near if file.resolve() != path.resolve()), None) or find_preset(command, name)
     if target is None:
-        raise ConfigError(f"{place}: {short(name)} is neither a preset nor a file beside this one")
+        raise ConfigError(f"{place}: {short(name)} is neither a preset nor a file next to this one")
     chain = (*chain, path.resolve())
     if target.resolve() in chain:
         raise ConfigError(f"{place}: {name} leads back to this file")
@@ -219,7 +219,7 @@ def _load_plugins(config: ConfigData, folder: Path) -> None:
         if not name.endswith(".py") or os.path.isfile(folder / name):
             load_plugin(name, folder)
         elif not any(plugin.package == Path(name).name for plugin in loaded.values()):
-            raise ConfigError(f"{place}: {name} is no file in {folder}; --plugin FILE.py says where it is")
+            raise ConfigError(f"{place}: {name} is no file in {folder}; give its path by --plugin FILE.py")
 
 
 def _symbols(config: ConfigData) -> dict[str, str]:

@@ -19,7 +19,7 @@ EXIT_CODES = {
     0: "all done",
     1: "a bug in depthcli; the traceback is printed",
     2: "wrong usage, config, plug-in or folder, nothing was computed; or the disk became full",
-    SOME_FAILED: "finished, but something failed or could not be written; the report says what",
+    SOME_FAILED: "finished, but something failed or could not be written; see the report",
     FLAGGED: "finished, and rows are flagged that count as failures here, or a condition has no values",
     130: f"ended by Ctrl-C; {RESUME}",
     143: f"ended by SIGTERM; {RESUME}",
@@ -35,7 +35,7 @@ _NO_MEMORY = (
 
 
 def shortage(error: BaseException | None) -> str:
-    """Return a line that says what of the machine an error, or one of its causes, ran out of; "": of nothing."""
+    """Return a line about the resource that an error, or one of its causes, ran out of, or an empty text."""
     while error is not None:
         number, text = getattr(error, "errno", None), str(error)
         if number in (errno.EMFILE, errno.ENFILE) or any(words in text for words in _NO_FILES):

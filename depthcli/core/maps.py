@@ -158,7 +158,7 @@ class DepthMap(_Map):
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """(H, W) bool: the value is the sensor's, or that of a second measurement (``SAMPLED``)."""
+        """(H, W) bool: the value is the sensor's, or a second measurement's (``SAMPLED``)."""
         return self.valid & (self.kept | self._has(DepthStatus.SAMPLED))
 
     @property

@@ -129,7 +129,7 @@ class RootConfig(ConfigModel):
 
     plugins: tuple[str, ...] = Field(
         default=(),
-        description="Python files beside this file, and installed modules, with methods of your own; --plugin names a "
+        description="Python files next to this file, and installed modules, with methods of your own; --plugin names a "
         "file elsewhere.",
     )
     run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")

@@ -53,10 +53,10 @@ class DepthConfig(RootConfig):
     """Options for reading depth, its error bounds, and point clouds."""
 
     depth_scale: float | None = Field(
-        None, gt=0, le=1e6, description="codes per meter in the files; null: as the layout says"
+        None, gt=0, le=1e6, description="codes per meter in the files; null: from the layout"
     )
     intrinsics: tuple[float, float, float, float] | None = Field(
-        None, description="fx, fy, cx, cy of the color camera, pixels; null: what the layout says"
+        None, description="fx, fy, cx, cy of the color camera, pixels; null: from the layout"
     )
     mask: str = Field(
         "measured",

@@ -153,7 +153,7 @@ class MapInputs(Inputs):
             try:
                 top = min(matched_range(images).suggested.max_disparity, images.shape[1] - 1)
             except InputError as error:
-                warnings.append(f"the largest disparity is that of the maps: {error}")
+                warnings.append(f"the largest disparity is estimated from the maps: {error}")
         if top is None:
             highest = max(float(np.quantile(known, _TOP_SHARE)) for known in finite.values() if known.size)
             top = min(max(math.ceil(highest), 1), images.shape[1] - 1)
@@ -163,7 +163,7 @@ class MapInputs(Inputs):
             clean.append(np.where(inside, one, np.float32(np.nan)))
             beyond = np.count_nonzero(finite[name] > top + 0.5) / max(finite[name].size, 1)
             if beyond > _MAX_BEYOND:
-                above = f"{100 * beyond:.0f} % of {name} lies above the largest disparity, {top} px"
+                above = f"{100 * beyond:.0f} % of {name} is above the largest disparity, {top} px"
                 warnings.append(f"{above}; see max_disparity")
         return top, clean, warnings
 
@@ -198,10 +198,8 @@ class GivenMaps(Problem[MapsScene, MapInputs, ResultT]):
         given: int | None = self.config["max_disparity"]
         return given or scene.max_disparity
 
-    def load(self, scene: MapsScene, context: Context) -> MapInputs:
-        """Return the images and maps of a scene. Raise InputError for maps of another size."""
-        context.clock.start("load")
-        images = read_image(scene.left) if scene.right is None else load_pair(scene)
+    def inputs(self, scene: MapsScene, images: StereoPair | Image) -> MapInputs:
+        """Return the images with the maps of a scene. Raise InputError for maps of another size."""
         maps = {one.run: _loaded(one, scene, images.shape) for one in scene.maps}
         absent = [f"no map of {run}: it is left out" for run in scene.absent]
         return MapInputs(images, maps, self.max_disparity(scene), warnings=absent)
@@ -229,7 +227,9 @@ class Confidence(GivenMaps[MapConfidence]):
         """Return the images and maps of a scene; the first map is the judged one."""
         if scene.right is None and len(scene.maps) > 1:
             raise InputError(f"{scene.left.parent}: no right image, without which there are no witnesses")
-        inputs, right = super().load(scene, context), None
+        context.clock.start("load")
+        inputs = self.inputs(scene, read_image(scene.left) if scene.right is None else load_pair(scene))
+        right = None
         if scene.right is not None and scene.right_map is not None:
             right = _loaded(scene.right_map, scene, inputs.shape)
         saving = {"share": self.config["keep"], "threshold": self.config["threshold"]}
@@ -245,7 +245,7 @@ class Confidence(GivenMaps[MapConfidence]):
         if not isinstance(images, StereoPair):
             judgment = judge_by_one_view(networks(), images, clean[0], top, promise.within, measures, promise.level)
             status = judgment.status
-            note = "no right image: judged by the map's shape and the left image alone, which say far less"
+            note = "no right image: judged by the map's shape and the left image alone, which is far less reliable"
             warnings.insert(0, note)
         else:
             self.check_memory(inputs, top, context)
@@ -301,7 +301,8 @@ class FuseMaps(GivenMaps[Disparity]):
 
     def load(self, scene: MapsScene, context: Context) -> MapInputs:
         """Return the pair and maps of a scene, with the status maps of this program's runs."""
-        inputs = super().load(scene, context)
+        context.clock.start("load")
+        inputs = self.inputs(scene, load_pair(scene))
         status = {one.run: read_status(one.status) for one in scene.maps if one.status is not None}
         for name, codes in status.items():
             check_same_size(scene.folder / f"status.png of {name}", codes.shape, scene.left, inputs.shape)

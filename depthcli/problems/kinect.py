@@ -73,12 +73,12 @@ class RefineKinect(DepthProblem[FrameOrSequence, RefineKinectConfig]):
 
     def truth_scenes(self, scenes: Sequence[FrameOrSequence]) -> Sequence[Scene]:
         """Return all frames, including the frames of sequences."""
-        frames = [each for scene in scenes for each in (scene.frames if isinstance(scene, SequenceScene) else (scene,))]
+        frames = [frame for scene in scenes for frame in _frames(scene)]
         return sorted((frame.with_scale(self.config.depth_scale) for frame in frames), key=lambda frame: frame.name)
 
     def settings(self, scene: FrameOrSequence) -> dict[str, str]:
         """Return the scale of the depth, and the cameras and poses from the layout."""
-        frames = scene.frames if isinstance(scene, SequenceScene) else (scene,)
+        frames = _frames(scene)
         first = frames[0]
         scale = self.config.depth_scale or first.depth_scale or MILLIMETERS
         found = {"depth_scale": str(scale), "camera": f"{first.intrinsics} {first.fb} {first.rotated} {first.raw}"}
@@ -90,8 +90,7 @@ class RefineKinect(DepthProblem[FrameOrSequence, RefineKinectConfig]):
 
     def memory(self, scene: FrameOrSequence) -> int:
         """Return an estimate from the size of the frame, or of a sequence's first frame."""
-        first = scene.frames[0] if isinstance(scene, SequenceScene) else scene
-        return self.config.peak_bytes(frame_size(first))
+        return self.config.peak_bytes(frame_size(_frames(scene)[0]))
 
     def units(self, scenes: Sequence[Any], reporter: Reporter) -> Sequence[FrameOrSequence]:
         """Return the frames, or their sequences if the pipeline carries state from frame to frame."""
@@ -154,6 +153,10 @@ class RefineKinect(DepthProblem[FrameOrSequence, RefineKinectConfig]):
         bits = [bit for bit in DEPTH_STATUS_HELP if bit not in (DepthStatus.KEPT, DepthStatus.SAMPLED)]
         row = {name: share(getattr(result, name)) for name in ("kept", "filled", "corrected")}
         return row | {str(bit.name).lower(): share((result.status & bit) != 0) for bit in bits}
+
+
+def _frames(scene: FrameOrSequence) -> Sequence[RgbdScene]:
+    return scene.frames if isinstance(scene, SequenceScene) else (scene,)
 
 
 def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:

@@ -43,7 +43,7 @@ class Calibration(ConfigModel):
     )
     unit: str | None = Field(
         default=None,
-        description="unit of the translation: m, cm, mm, or a length such as 24mm; null: the format's, m of most",
+        description="unit of the translation: m, cm, mm, or a length such as 24mm; null: the format's, usually m",
     )
     fisheye: bool = Field(default=False, description="whether an OpenCV calibration file describes fisheye lenses")
     cameras: tuple[Annotated[int, Field(ge=0, le=9)], Annotated[int, Field(ge=0, le=9)]] = Field(
@@ -53,7 +53,7 @@ class Calibration(ConfigModel):
         default=0.0,
         ge=0,
         le=1,
-        description="extent of rectified images, from 0: only what both hold, to 1: all that either holds",
+        description="extent of rectified images, from 0: pixels of both images, to 1: all pixels of either",
     )
 
     @model_validator(mode="before")

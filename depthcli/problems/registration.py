@@ -67,9 +67,11 @@ class RegisterConfidenceConfig(RootConfig):
     field: str = Field(
         "auto",
         pattern="^(auto|itk|ants|niftyreg|positions|voxels)$",
-        description="convention of displacement files; auto: what the header says, checked against the others",
+        description="convention of displacement files; auto: from the header, checked against the others",
     )
-    neurological: bool = Field(False, description="pictures have the patient's right on the right, else on the left")
+    neurological: bool = Field(
+        False, description="pictures have the patient's right on the right, otherwise on the left"
+    )
     figure: Literal["dark", "light"] = Field("dark", description="paper of preview.png; light: white, for print")
     slice_at: tuple[float, float, float] | None = Field(
         None, description="point x, y, z, mm LPS, that the slices of preview.png go through; null: the middle"
@@ -345,7 +347,7 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
         warnings = []
         if _beyond_search(details.figures):
             warnings.append(
-                f"{100 * details.figures['border']:.0f} % of the best matches lie on the border of the search: the "
+                f"{100 * details.figures['border']:.0f} % of the best matches are on the border of the search: the "
                 "registration may be off by more than its range; a larger radius or iso searches farther"
             )
         if np.array_equal(loaded.pair.fixed, loaded.pair.warped):
@@ -464,7 +466,7 @@ def _volume(
     else:
         values = as_volume(volume, name)
         if spacing is None:
-            raise InputError(f"{name}: an array needs its spacing (z, y, x) in mm beside it")
+            raise InputError(f"{name}: an array needs a spacing (z, y, x), mm")
         steps, first = tuple(spacing)[::-1], tuple(origin)
     numbers = np.array([*steps, *first, *axes.ravel()], np.float64)
     if numbers.shape != (15,) or not np.isfinite(numbers).all() or min(steps) <= 0 or abs(np.linalg.det(axes)) < 1e-6:

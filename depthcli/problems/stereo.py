@@ -69,29 +69,29 @@ class PairConfig(RootConfig):
 
     max_disparity: End = Field(
         None,
-        description="largest disparity searched, pixels; auto: as the pair itself says; null: the scene's; where it "
-        "has none, auto, and for pairs rectified by a calibration as the first frames of a sequence say",
+        description="largest disparity searched, pixels; auto: estimated from the pair; null: the scene's or, if it "
+        "has none, auto, for pairs rectified by a calibration estimated from the first frames of a sequence",
     )
     min_disparity: End = Field(
         None,
-        description="smallest disparity searched, pixels; auto: as the pair itself says; null: the scene's, else 0",
+        description="smallest disparity searched, pixels; auto: estimated from the pair; null: the scene's, or 0",
     )
     calibration: Calibration | None = Field(
-        None, description="calibration by which pairs are rectified first; null: they are rectified already"
+        None, description="calibration for rectifying pairs first; null: they are rectified"
     )
     bound: Bound | None = Field(
-        None, description="bound of the errors and probability of a small one that are computed, too; true: the usual"
+        None, description="error bound and probability of a small error to compute, too; true: with the defaults"
     )
     tiles: TileMode = Field(
         "auto",
-        description="whether pairs are matched in tiles, coarse to fine where costs are not local; auto: where the "
-        "whole pair would need more than tile_memory",
+        description="whether pairs are matched in tiles, or coarse to fine if costs are not local; auto: if the whole "
+        "pair needs more than tile_memory",
     )
     tile_memory: int = Field(
         3072,
         ge=300,
         le=1 << 20,
-        description="memory that a pair matched in tiles may take, MiB; less where less is free",
+        description="memory for a pair matched in tiles, MiB; less if less is free",
     )
 
     @field_validator("bound", mode="before")
@@ -418,7 +418,7 @@ def _warnings(
     for part, (end, option) in zip(shares, bounds, strict=True):
         if part > _MAX_SHARE_AT_END:
             warnings.append(
-                f"{100 * part:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
+                f"{100 * part:.0f} % of the measured pixels are at the end of the search range, {end}; see {option}"
             )
     if _MIN_SHARE_AT_END < shares[1] <= _MAX_SHARE_AT_END and (top := matched_beyond(pair, search)) is not None:
         warnings.append(
@@ -427,7 +427,7 @@ def _warnings(
     if key_points and search.min_disparity > key_points["range_low"] and key_points["range_low"] < 0:
         warnings.append(f"the images match at disparities down to {key_points['range_low']}; see min_disparity")
     if search.min_disparity < 0:
-        warnings.append("disp_left.png cannot hold negative disparities: no value there; disp_left.pfm has them")
+        warnings.append("disp_left.png has no value for negative disparities; disp_left.pfm has them")
     if result.figures.get("exact") == 0 and limits.memory < limits.tile_memory:
         warnings.append(
             f"matched in {result.figures['tiles']:.0f} tiles at {result.figures['levels']:.0f} sizes, since only "

@@ -42,7 +42,7 @@ _T = TypeVar("_T")
 
 _START_SECONDS = 1.5  # until processes work that load all modules: two take 1.2 s on two cores
 _MIN_SCENES = 8  # that a process for each core computes sooner than threads do, if they start as copies of this one
-_PROCESS_BYTES = 2 * BASE_BYTES  # of a process beside its scene: its own, and arrays that it keeps for the next one
+_PROCESS_BYTES = 2 * BASE_BYTES  # of a process in addition to its scene: its own, and arrays kept for the next scene
 _MAX_TRIES = 3  # of a scene whose worker dies: another program may have used up the memory
 
 
@@ -294,17 +294,17 @@ def _serve(pipe: connection.Connection, plugins: Iterable[str], pickled: bytes) 
     use_threads(work.how.threads_each())
     limit, latest, turn = work.how.memory_each(), Latest(), threading.Lock()
 
-    def say(message: object) -> None:
+    def send(message: object) -> None:
         with turn:
             pipe.send(message)
 
     def finish(scene: Callable[[], Row], kernels: int, seconds: float) -> None:
-        say((scene(), kernels, seconds))
+        send((scene(), kernels, seconds))
 
     with (
         contextlib.suppress(EOFError, ConnectionError),
         ThreadPoolExecutor(1, "finish") as disk,
-        CompileWatch(lambda _: say("compiling")) as watch,
+        CompileWatch(lambda _: send("compiling")) as watch,
     ):
         finished: Future[None] | None = None
         while True:
@@ -313,5 +313,5 @@ def _serve(pipe: connection.Connection, plugins: Iterable[str], pickled: bytes) 
             computed = counted(partial(computed_scene, task, work, limit, latest), watch)
             if finished is not None:
                 finished.result()
-            say("computed")
+            send("computed")
             finished = disk.submit(finish, *computed)

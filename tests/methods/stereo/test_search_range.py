@@ -90,8 +90,8 @@ def test_what_the_report_and_the_warnings_say(tmp_path: Path, capsys):
     images = ("--left", tmp_path / "l.png", "--right", tmp_path / "r.png", "--name", "s")
     assert run("stereo", "fast", *images, "--min-disparity", "-12", "--max-disparity", "8", "-o", tmp_path / "a") == 0
     err = capsys.readouterr().err
-    assert "of the measured pixels lie at the end of the search range, -12; see min_disparity" in err
-    assert "disp_left.png cannot hold negative disparities" in err
+    assert "of the measured pixels are at the end of the search range, -12; see min_disparity" in err
+    assert "disp_left.png has no value for negative disparities" in err
     auto = ("--min-disparity", "auto", "--max-disparity", "auto")
     assert run("stereo", "fast", *images, *auto, "-o", tmp_path / "b") == 0
     assert "end of the search range" not in capsys.readouterr().err
