@@ -466,7 +466,7 @@ def _volume(
     else:
         values = as_volume(volume, name)
         if spacing is None:
-            raise InputError(f"{name}: an array needs a spacing (z, y, x), mm")
+            raise InputError(f"{name}: an array needs its spacing (z, y, x), mm")
         steps, first = tuple(spacing)[::-1], tuple(origin)
     numbers = np.array([*steps, *first, *axes.ravel()], np.float64)
     if numbers.shape != (15,) or not np.isfinite(numbers).all() or min(steps) <= 0 or abs(np.linalg.det(axes)) < 1e-6:
