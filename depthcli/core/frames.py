@@ -37,7 +37,7 @@ class StereoPair:
         if self.left.ndim not in (2, 3) or (self.left.ndim == 3 and self.left.shape[2] != 3):
             raise ValueError(f"expected (H, W) or (H, W, 3), got {self.left.shape}")
         if self.bits is not None and not 1 <= self.bits <= 8 * self.left.dtype.itemsize:
-            raise ValueError(f"{self.left.dtype} samples have no {self.bits} bits")
+            raise ValueError(f"{self.left.dtype} samples cannot have {self.bits} bits")
         trust = self.light_trust
         if trust is not None and (trust.shape != self.shape or trust.dtype != np.uint8):
             raise ValueError(f"expected uint8 light_trust {self.shape}, got {trust.shape} {trust.dtype}")

@@ -62,8 +62,9 @@ class SceneJob(Job[SceneT]):
 
 def check_keep(job: SceneJob[Any], keep: Sequence[str]) -> None:
     """Raise ConfigError for a pattern of ``--keep`` that no file of the job can match."""
-    has_details = isinstance(job.config, RootConfig) and any(getattr(p, "details", 0) for p in parts_of(job.config))
-    if not job.writes or has_details or used_plugins(job.config):
+    if not keep or not job.writes or used_plugins(job.config):
+        return
+    if isinstance(job.config, RootConfig) and any(getattr(part, "details", 0) for part in parts_of(job.config)):
         return
     for pattern in keep:
         if not any(fnmatchcase(name, pattern) or fnmatchcase(pattern, name) for name in (*job.writes, "record.json")):

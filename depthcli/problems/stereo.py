@@ -315,11 +315,14 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
 
     def row(self, inputs: PairInputs, result: Disparity) -> Row:
         """Return size, range, facts of the rectification, density, bound, and figures of the method."""
-        pair, search, key_points, facts = inputs.pair, result.search, result.key_points, Row()
+        pair, search, key_points, facts, bound = inputs.pair, result.search, result.key_points, Row(), Row()
         if inputs.rectified is not None:
             geometry = inputs.rectified.rig.geometry
             depth = median(geometry.depth(result.values)[result.valid])
             facts = inputs.rectified.facts | metric_columns(geometry, search, depth)
+        if result.bound is not None and result.probability is not None:
+            correct = result.probability[result.valid]
+            bound = {"median_bound": median(result.bound), "expected_right": share(correct) if correct.size else None}
         return {
             **size_of(pair),
             "max_disparity": search.max_disparity,
@@ -328,8 +331,8 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
             **key_points,
             "density": share(result.valid),
             "measured": share(result.measured),
-            **bound_columns(result),
-            **({"bits": pair.bits} if partly_used(pair) else {}),
+            **bound,
+            **({"bits": pair.bits} if pair.top < np.iinfo(pair.left.dtype).max else {}),
             **{name: float(value) for name, value in result.details.figures.items()},
         }
 
@@ -344,14 +347,6 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         return [
             f"{which} not known: --max-disparity auto was taken, which gives {span} px (max_disparity in report.csv)"
         ]
-
-
-def bound_columns(result: Disparity) -> Row:
-    """Return the report's columns about the bound: its median, and the mean probability of the values."""
-    if result.bound is None or result.probability is None:
-        return {}
-    correct = result.probability[result.valid]
-    return {"median_bound": median(result.bound), "expected_right": share(correct) if correct.size else None}
 
 
 @dataclass(frozen=True)
@@ -401,7 +396,7 @@ def _warnings(
 ) -> tuple[str, ...]:
     """Return one line for each doubtful property of a map."""
     found, warnings = result.disparity, []
-    if partly_used(pair):
+    if pair.top < np.iinfo(pair.left.dtype).max:
         warnings.append(f"samples of {pair.bits} bits in {pair.left.dtype} files; scaled accordingly")
     if flat := [name for name, image in (("left", pair.left), ("right", pair.right)) if image.min() == image.max()]:
         warnings.append(f"the {' and the '.join(flat)} image has one level alone: nothing can be matched")
@@ -434,11 +429,6 @@ def _warnings(
             f"{show_bytes(limits.memory)} of memory may be used: with more the map is another one"
         )
     return tuple(warnings)
-
-
-def partly_used(pair: StereoPair) -> bool:
-    """Return whether the samples have fewer bits than their dtype."""
-    return pair.bits is not None and pair.bits < 8 * pair.left.dtype.itemsize
 
 
 def with_bound(disparity: Disparity, pair: StereoPair, promise: Bound, context: Context) -> Disparity:
