@@ -333,7 +333,7 @@ def _explain(config: ConfigData, error: Any) -> str:
     elif kind == "tuple_type" and key.endswith("window") and isinstance(got, int):
         hint = f"; write [{got}, {got}]"
     big = isinstance(got, dict | list | tuple | BaseModel) and len(short(got)) > 60
-    shown = "" if big or kind in ("missing", "method_name") else f" (got {short(got)})"
+    shown = "" if big or "(got " in text or kind in ("missing", "method_name") else f" (got {short(got)})"
     # An option or override that names the key, or one below it, needs no further key.
     path = place.partition(" ")[2]
     is_named = place.startswith(OVERRIDES) and (not path or f"{path}.".startswith(f"{key}."))
