@@ -61,6 +61,7 @@ def _plain(text: str) -> str:
     for folder in (str(temporary), str(Path(tempfile.gettempdir(), "tmp"))):
         text = re.sub(re.escape(folder) + r"(/?[^/\s:',\"`]+)?", "TMP", text)
     text = text.replace(str(TESTS.parent), "ROOT")
+    text = re.sub(r"^(Traceback .*\n)(?:[ ~^].*\n)+", r"\1", text, flags=re.M)  # its lines change with the code
     return re.sub(r"\b\d+(\.\d+)? (s|min|ms)\b", r"N \2", text)
 
 
