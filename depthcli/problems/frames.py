@@ -33,7 +33,6 @@ from depthcli.methods.transparent.bounds import KINDS, GlassErrors, glass_bounds
 from depthcli.methods.transparent.cross_modal import CrossModal
 from depthcli.problems.problem import Inputs, Problem
 from depthcli.problems.results import (
-    MASK,
     MapRepr,
     Pixels,
     PointCloud,
@@ -41,6 +40,7 @@ from depthcli.problems.results import (
     cloud_pixels,
     empty_cloud,
     made,
+    mask_parts,
     write_depth,
     write_details,
 )
@@ -60,7 +60,6 @@ class DepthConfig(RootConfig):
     )
     mask: str = Field(
         "measured",
-        pattern=MASK,
         description="pixels of point clouds: measured, all, or confident:0.8, the surest 80 % of the measured",
     )
     near: float = Field(0.0, ge=0, description="points of clouds are no nearer, meters")
@@ -162,6 +161,7 @@ class DepthProblem(Problem[SceneT, FrameInputs, RefinedDepth], Generic[SceneT, C
     def ready(cls, config: ConfigT) -> Self:
         """Return the problem. Raise ConfigError for wrong options of clouds, before any frame is opened."""
         check_limits(config.near, config.far)
+        mask_parts(config.mask)
         return cls(config)
 
     def units(self, scenes: Sequence[Any], reporter: Reporter) -> Sequence[SceneT]:

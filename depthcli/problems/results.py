@@ -31,8 +31,7 @@ from depthcli.show.view import View, draw
 
 Pixels = str | NDArray[np.bool_]
 """Name of a selection of pixels, or (H, W) bool."""
-MASK = r"^(?:(all|measured)|confident:(0?\.0*[1-9][0-9]*|1(?:\.0*)?)(?::(.+))?)$"
-"""Pattern of the names."""
+_MASK = re.compile(r"(all|measured)|confident:(0?\.0*[1-9][0-9]*|1(?:\.0*)?)(?::(.+))?")
 
 
 def made(folder: Path | str) -> Path:
@@ -93,7 +92,7 @@ def write_details(result: Result, folder: Path) -> None:
 
 def mask_parts(text: str) -> tuple[str, float, str]:
     """Return kind, share and name of a mask for :func:`chosen_pixels`. Raise ConfigError for other texts."""
-    if match := re.match(MASK, text):
+    if match := _MASK.fullmatch(text):
         return match[1] or "confident", float(match[2] or 1), match[3] or ""
     raise ConfigError(f"mask: must be measured, all, or confident:0.8 (got {text!r})")
 
