@@ -18,6 +18,7 @@ from _experiments import (
     scenes_in,
 )
 from _thesis_depth import infrared, infrared_pairs
+from _thesis_stereo import errors
 
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation.curves import sparsification
@@ -67,12 +68,7 @@ def scenes(data: Path) -> Iterator[tuple[str, Any]]:
 
 def fusions(scene: Any) -> Rows:
     """Return bad > 1 px, nonocc, %, of every way to fuse."""
-    pair, judge = load_pair(scene), load("middlebury_v2")()
-    truth, rows = judge.truth(scene), {}
-    for name, words in FUSIONS.items():
-        found = fusion(*words)(pair, scene.max_disparity).disparity.values
-        rows[name] = {"nonocc": headlines(judge, found, truth)["nonocc"]}
-    return rows
+    return {name: {"nonocc": errors(fusion(*words), scene)["nonocc"]} for name, words in FUSIONS.items()}
 
 
 def streets(scene: Any) -> Rows:

@@ -19,7 +19,7 @@ and prints in how many of them the rows of table 2.1 have the printed order (non
 import json
 import random
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from functools import reduce
 from itertools import pairwise
 from operator import getitem
@@ -28,17 +28,10 @@ from typing import Any
 
 import _env
 import numpy as np
-from _experiments import GROUPS, THESIS, config_of, scenes_in
-from _thesis_stereo import MASKS, SCENES
+from _experiments import GROUPS, THESIS, config_of, matcher, scenes_in
+from _thesis_stereo import MASKS, SCENES, errors
 
-from depthcli.algorithms.regions import region_graph
-from depthcli.core.context import Clock
-from depthcli.evaluation.protocols import headlines
-from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
-from depthcli.io.stereo_pairs import load_pair
 from depthcli.kernels.jit import set_threads
-from depthcli.methods.stereo.segments.first_estimate import SegmentedImage, segment_window
-from depthcli.methods.stereo.segments.planes import assign
 from depthcli.problems.stereo import StereoConfig
 
 OPEN: dict[str, list[Any]] = {
@@ -69,57 +62,27 @@ OPEN: dict[str, list[Any]] = {
 }  # fmt: skip
 ELSEWHERE = [(f, n) for f, names in GROUPS["tuning"].items() if "_200" in f for n in names[::2]]
 DEFAULTS = {"pipeline": "segments", "keypoints": "surf", "cost": "intensity_gradient", "window_radius": 1}
-NEEDED = "baseline", "KP", "DEDC", "DEDC and KP"
-TERMS = (False, "matching_cost"), (True, "matching_cost"), (False, "dedc"), (True, "dedc")  # key points and data term
+TERMS = {  # row of table 2.1 -> settings that switch its key points and data term off
+    "baseline": ("keypoints=none", "energy.data_term=matching_cost"), "KP": ("energy.data_term=matching_cost",),
+    "DEDC": ("keypoints=none",), "DEDC and KP": (),
+}  # fmt: skip
 Rates = dict[str, list[float]]  # row of table 2.1, or scene -> nonocc, all, disc
 
 
-class Steps:
-    """The steps of ``segments`` on one scene; those that several settings share are computed once."""
-
-    def __init__(self, scene: Any) -> None:
-        self.scene, self.pair, self.judge = scene, load_pair(scene), MiddleburyV2Protocol()
-        self.truth, self.top = self.judge.truth(scene), scene.max_disparity
-        self._kept: dict[Hashable, Any] = {}
-
-    def once(self, make: Callable[[], Any], *what: Any) -> Any:
-        """Return what ``make`` returns, which depends on these configs alone."""
-        key = repr(what)
-        found = self._kept.pop(key) if key in self._kept else make()
-        self._kept[key] = found  # the last used ones stay
-        while len(self._kept) > 24:
-            del self._kept[next(iter(self._kept))]
-        return found
-
-    def rates(self, method: Any, key_points: bool, term: str) -> list[float]:
-        """Return bad > 1 px, %: nonocc, all, disc."""
-        m, image, pair = method, self.pair.color8[0], self.pair
-        labels = self.once(lambda: m.segmentation(image), m.segmentation)
-        volume = self.once(lambda: m.cost.checked_costs(pair, self.top + 1), m.cost)
-        window = m.window_radius
-        costs = self.once(lambda: segment_window(volume, labels, window), m.segmentation, m.cost, window)
-        if key_points:
-            points = self.once(lambda: [m.keypoints(view) for view in pair.grey8], m.keypoints)
-            matches = m.matching(*points, self.top)
-            costs = m.ranges.penalize(costs, m.ranges(labels, matches, self.top))
-        first = m.selection(costs)
-        segments = SegmentedImage.of(labels, first, region_graph(labels, image), self.top)
-        energy = m.energy.model_copy(update={"data_term": term})
-        found = assign(segments, volume, m.planes, energy, 1, 50, Clock())
-        values = np.full(labels.shape, np.nan, np.float32)
-        if found is not None:
-            values = found.planes.at(found.labels[labels], self.top)
-        rates = headlines(self.judge, values, self.truth)
-        return [round(float(rates[mask]), 4) for mask in MASKS]
+def rates(setting: dict[str, Any], scene: Any, *more: str) -> list[float]:
+    """Return bad > 1 px of a setting, %: nonocc, all, disc."""
+    changes = (f"{key}={json.dumps(value)}" for key, value in setting.items())
+    found = errors(matcher("thesis/ch2-kp-dedc", *changes, *more), scene)
+    return [round(float(found[mask]), 4) for mask in MASKS]
 
 
 def loss_of_tables(rows: Rates) -> float:
     """Return the distance from table 2.1, of the rows there are, and from table 2.2; more where scenes lack."""
-    known = [name for name in NEEDED if name in rows]
+    known = [name for name in TERMS if name in rows]
     loss = 0.0
     for name in known:
         cells = zip(rows[name], THESIS["table 2.1"][name], strict=True)
-        loss += float(np.mean([abs(ours - printed) / (printed + 0.5) for ours, printed in cells])) / len(NEEDED)
+        loss += float(np.mean([abs(ours - printed) / (printed + 0.5) for ours, printed in cells])) / len(TERMS)
     for one, other in pairwise(known):
         loss += 0.1 * any(a < b for a, b in zip(rows[one], rows[other], strict=True))
     if not set(SCENES) <= rows.keys():
@@ -128,31 +91,31 @@ def loss_of_tables(rows: Rates) -> float:
     return loss + 0.5 * float(np.mean(np.abs(ours - printed)) / np.mean(printed))
 
 
-def tables(data: Path) -> Callable[[Any, float], Rates]:
-    """Return what measures a method on v2; the other three scenes only where Tsukuba leaves a chance."""
-    steps = {scene.name: Steps(scene) for scene in scenes_in(data / "middlebury_v2")}
+def tables(data: Path) -> Callable[[dict[str, Any], float], Rates]:
+    """Return what measures a setting on v2; the other three scenes only where Tsukuba leaves a chance."""
+    scenes = {scene.name: scene for scene in scenes_in(data / "middlebury_v2")}
 
-    def measure(method: Any, best: float) -> Rates:
+    def measure(setting: dict[str, Any], best: float) -> Rates:
         rows: Rates = {}
-        for name, term in list(zip(NEEDED, TERMS, strict=True))[::-1]:
-            rows[name] = steps["Tsukuba"].rates(method, *term)
+        for name in reversed(TERMS):
+            rows[name] = rates(setting, scenes["Tsukuba"], *TERMS[name])
             if loss_of_tables(rows) - 10 > 0.85 * best:  # the other three scenes will add that much
                 return rows
         rows |= {"Tsukuba": rows["DEDC and KP"]}
-        return rows | {name: steps[name].rates(method, True, "dedc") for name in SCENES[1:]}
+        return rows | {name: rates(setting, scenes[name]) for name in SCENES[1:]}
 
     return measure
 
 
-def elsewhere(data: Path) -> Callable[[Any, float], Rates]:
-    """Return what measures a method on scenes of 2001 to 2006."""
-    steps = {name: Steps(scenes_in(data / folder, name)[0]) for folder, name in ELSEWHERE}
+def elsewhere(data: Path) -> Callable[[dict[str, Any], float], Rates]:
+    """Return what measures a setting on scenes of 2001 to 2006."""
+    scenes = {name: scenes_in(data / folder, name)[0] for folder, name in ELSEWHERE}
 
-    def measure(method: Any, best: float) -> Rates:
+    def measure(setting: dict[str, Any], best: float) -> Rates:
         rows: Rates = {}
-        for name, step in steps.items():
-            rows[name] = step.rates(method, True, "dedc")
-            if sum(map(np.mean, rows.values())) > best * len(steps):
+        for name, scene in scenes.items():
+            rows[name] = rates(setting, scene)
+            if sum(map(np.mean, rows.values())) > best * len(scenes):
                 break
         return rows
 
@@ -167,19 +130,13 @@ def loss_elsewhere(rows: Rates) -> float:
 def order_of_random_settings(data: Path, count: int, rng: random.Random) -> str:
     """Return in words how often the rows of table 2.1 are in the printed order, of settings drawn from all."""
     (scene,) = scenes_in(data / "middlebury_v2", "Tsukuba")
-    steps, held = Steps(scene), np.zeros(5, int)
+    held = np.zeros(5, int)
     for _ in range(count):
         setting = {key: rng.choice(values) for key, values in OPEN.items()}
-        a, b, c, d = (steps.rates(method_of(setting), points, term)[0] for points, term in TERMS)
+        a, b, c, d = (rates(setting, scene, *more)[0] for more in TERMS.values())
         held += [b < a, c < a, d < c, d < b, d <= c < b < a]
     names = "KP < baseline", "DEDC < baseline", "both < DEDC", "both < KP", "all four in order"
     return ", ".join(f"{name}: {n} of {count}" for name, n in zip(names, held, strict=True))
-
-
-def method_of(setting: dict[str, Any]) -> Any:
-    """Return the pipeline of a setting."""
-    changes = [f"{key}={json.dumps(value)}" for key, value in setting.items()]
-    return config_of("stereo", "thesis/ch2-kp-dedc", *changes).pipeline
 
 
 def changed(setting: dict[str, Any], rng: random.Random) -> dict[str, Any]:
@@ -212,7 +169,7 @@ def main() -> int:
             setting = following.pop() if following else changed(rng.choice(list(good.values())), rng)
             if json.dumps(setting) in tried:
                 continue
-            rows = tried[json.dumps(setting)] = measure(method_of(setting), max(good, default=np.inf))
+            rows = tried[json.dumps(setting)] = measure(setting, max(good, default=np.inf))
             print(json.dumps([setting, rows]), file=out, flush=True)
             good.setdefault(loss_of(rows), setting)
     for setting in sorted(tried, key=lambda setting: loss_of(tried[setting]))[:5]:
