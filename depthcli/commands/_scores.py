@@ -58,7 +58,7 @@ def evaluated(
             staging_folder(output, "evaluate", RESULTS, reporter.info) as folder,
         ):
             page.begin(folder)
-            page.write(None, "{}", {shown.name: saved_config(shown.folder)}, flags)
+            page.write(report, "{}", {shown.name: saved_config(shown.folder)})
     return report
 
 

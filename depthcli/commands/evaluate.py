@@ -68,10 +68,9 @@ def evaluate(
 ) -> int:
     """Evaluate, print the tables, and return the exit code."""
     from depthcli.commands._scores import check_tables, print_place, print_tables, viewers
-    from depthcli.evaluation.evaluate import Choices, evaluate_runs
+    from depthcli.evaluation.evaluate import Choices, evaluate_runs, scenes_with_truth
     from depthcli.evaluation.map_files import MapNaming, find_runs, given_naming
     from depthcli.evaluation.protocols import Settings, load
-    from depthcli.evaluation.truth import scenes_with_truth
     from depthcli.io.scenes.places import local
 
     reporter, places = printing.reporter, find_runs(runs)

@@ -1,6 +1,6 @@
 """Comparison of runs with ground truth: maps of the runs and scenes with truth in, scores out.
 
-``truth`` finds the scenes, ``evaluate.evaluate_runs`` does the rest; arrays have NaN for no value:
+``evaluate.scenes_with_truth`` finds the scenes, ``evaluate_runs`` does the rest; arrays have NaN for no value:
 
 1. ``map_files`` names the runs, and the places where a run folder may have the map of a scene.
 2. A protocol (``protocols``, one file per benchmark or kind of truth) reads the scene's truth, once, and the run's map:

@@ -55,16 +55,16 @@ class Benchmark:
 
     def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
         """Return the reasons why a map cannot be submitted."""
-        found, (height, width) = [], values.shape
+        problems, (height, width) = [], values.shape
         if entry.size is not None and entry.size != (width, height):
-            found.append(f"the map is {width} x {height}, the image {entry.size[0]} x {entry.size[1]}")
+            problems.append(f"the map is {width} x {height}, the image {entry.size[0]} x {entry.size[1]}")
         if (values < 0).any():
-            found.append(f"negative disparities, down to {np.nanmin(values):.4g}")
+            problems.append(f"negative disparities, down to {np.nanmin(values):.4g}")
         if np.isnan(values).all():
-            found.append("no pixel has a value")
+            problems.append("no pixel has a value")
         if self.timed and math.isnan(entry.seconds):
-            found.append("no run time: the run has no report of this scene; set it with --seconds")
-        return found + self.limits(entry, values, submission)
+            problems.append("no run time: the run has no report of this scene; set it with --seconds")
+        return problems + self.limits(entry, values, submission)
 
 
 _MIDDLEBURY_SCENES = {
@@ -92,11 +92,11 @@ def _middlebury_problems(submission: Submission) -> list[str]:
 
     The name is part of files' names, in which ``_s`` marks sparse maps.
     """
-    found: dict[str, list[str]] = {}
+    by_resolution: dict[str, list[str]] = {}
     for scene, (width, _) in submission.sizes.items():
-        found.setdefault(middlebury_resolution(scene, width), []).append(scene)
-    several = "; ".join(f"{r}: {', '.join(scenes)}" for r, scenes in sorted(found.items()))
-    problems, method = [f"maps of several resolutions: {several}"] if len(found) > 1 else [], submission.method
+        by_resolution.setdefault(middlebury_resolution(scene, width), []).append(scene)
+    several = "; ".join(f"{r}: {', '.join(scenes)}" for r, scenes in sorted(by_resolution.items()))
+    problems, method = [f"maps of several resolutions: {several}"] if len(by_resolution) > 1 else [], submission.method
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_+.-]{0,39}", method) or method.endswith("_s") or method == "GT":
         what = "expected letters, digits and _ + . - for file names, no _s at the end, not GT"
         problems.insert(0, f"--method: {what} (got {method!r})")
@@ -146,12 +146,12 @@ def _eth3d_files(entry: Entry, values: NDArray[np.float32], submission: Submissi
 
 def _not_in_codes(entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
     """Return reasons for values beyond the codes of KITTI, and for maps of training images of the same names."""
-    found = []
+    problems = []
     if (np.rint(values.astype(np.float64) * KITTI_SCALE) > 65535).any():
-        found.append(f"disparities up to {np.nanmax(values):.4g}; 16-bit codes end below 256")
+        problems.append(f"disparities up to {np.nanmax(values):.4g}; 16-bit codes end below 256")
     if entry.image is not None and "training" in entry.image.parts:
-        found.append(f"made from {entry.image}, a training image; the benchmark takes the test images' maps")
-    return found
+        problems.append(f"made from {entry.image}, a training image; the benchmark takes the test images' maps")
+    return problems
 
 
 def _kitti(protocol: str, n_scenes: int, folder: str) -> Benchmark:
@@ -180,7 +180,7 @@ BENCHMARKS: Mapping[str, Benchmark] = {
 
 def benchmark(name: str) -> Benchmark:
     """Return the benchmark of that name; ConfigError if there is no such benchmark."""
-    found = BENCHMARKS.get(name.lower().replace("_", "-"))
-    if found is None:
+    chosen = BENCHMARKS.get(name.lower().replace("_", "-"))
+    if chosen is None:
         raise ConfigError(f"--for: no benchmark called {name!r}; one of: {', '.join(BENCHMARKS)}")
-    return found
+    return chosen

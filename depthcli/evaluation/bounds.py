@@ -74,11 +74,11 @@ def judged(
         for name, bits in protocol.status_groups.items():
             regions[f"said {name}"] = rest & ((status & bits) != 0) if bits else rest
             rest = rest & ~regions[f"said {name}"]
-    bound, unit, made = protocol.map_unit * bound.astype(np.float64), protocol.presentation.unit, list[Score]()
+    bound, unit, scores = protocol.map_unit * bound.astype(np.float64), protocol.presentation.unit, list[Score]()
     level = (promise or Bound()).level
     for name, region in regions.items():
-        made += bound_scores(Tally(name, error[region]), bound[region], wrong[region], level, unit)
-    return curves, made, ~np.isnan(error) & ~(error <= bound)
+        scores += bound_scores(Tally(name, error[region]), bound[region], wrong[region], level, unit)
+    return curves, scores, ~np.isnan(error) & ~(error <= bound)
 
 
 def bound_scores(
@@ -107,17 +107,17 @@ def bound_scores(
         for name, of in ((" finite", "%"), (" median", unit), (" / constant", ""))
     )
     coverage = replace(tally.number(promised, percent(covered, n_closed), n_closed), wrong=n_closed - covered)
-    made = [
+    scores = [
         coverage if n_closed else replace(coverage, density=math.nan),
         tally.number(share, 100 * float(finite.mean()), error.size),
     ]
     if known.size:
-        made.append(tally.number(median, float(np.median(known)), known.size))
+        scores.append(tally.number(median, float(np.median(known)), known.size))
     limited, bounds = error[finite], bound[finite]
     inside = int(np.count_nonzero(limited <= bounds))
     constant = float(np.partition(limited, inside - 1)[inside - 1]) if inside else 0.0
     if constant > 0:
-        made.append(tally.number(sharpness, float(bounds.mean()) / constant, bounds.size))
+        scores.append(tally.number(sharpness, float(bounds.mean()) / constant, bounds.size))
     bound = np.where(np.isnan(bound), np.inf, bound)
     for surest in _SUREST:
         size = max(1, round(error.size * surest / 100))
@@ -125,8 +125,8 @@ def bound_scores(
         below = bound < limit  # of equal bounds, pixels count with their mean
         n_wrong = np.count_nonzero(wrong & below) + (size - np.count_nonzero(below)) * wrong[bound == limit].mean()
         metric = Metric(BAD, "%", float(surest), ESTIMATED_ONLY)
-        made.append(tally.number(metric, 100 * float(n_wrong) / size, size))
-    return made
+        scores.append(tally.number(metric, 100 * float(n_wrong) / size, size))
+    return scores
 
 
 def bound_means(maps: Sequence[Sequence[Score]]) -> list[Score]:
@@ -134,14 +134,14 @@ def bound_means(maps: Sequence[Sequence[Score]]) -> list[Score]:
     groups: dict[Key, list[Score]] = {}
     for score in itertools.chain(*maps):
         groups.setdefault(score.key, []).append(score)
-    made, of_maps = [], []
+    means, of_maps = [], []
     for (metric, _), scores in groups.items():
         mean = mean_of_scenes(scores, [1.0] * len(scores))
-        made.append(mean)
+        means.append(mean)
         if metric.name == COVERAGE:
-            found = [score.value for score in scores if not math.isnan(score.value)]
-            enough = sum(value >= (metric.threshold or 0) - _TOLERANCE for value in found)
+            values = [score.value for score in scores if not math.isnan(score.value)]
+            enough = sum(value >= (metric.threshold or 0) - _TOLERANCE for value in values)
             covering = Metric(COVERING, "% of maps", metric.threshold, ESTIMATED_ONLY, larger_is_better=True)
-            of_maps.append(replace(mean, metric=replace(metric, name=WORST), value=min(found, default=math.nan)))
-            of_maps.append(replace(mean, metric=covering, value=percent(enough, len(found)), pixels=len(found)))
-    return made + of_maps
+            of_maps.append(replace(mean, metric=replace(metric, name=WORST), value=min(values, default=math.nan)))
+            of_maps.append(replace(mean, metric=covering, value=percent(enough, len(values)), pixels=len(values)))
+    return means + of_maps

@@ -139,7 +139,7 @@ class Section:
 
     def records(self) -> list[dict[str, Any]]:
         """Return the means of every run, metric and region, over all scenes and common ones, for ``scores.csv``."""
-        made = []
+        rows = []
         for run in self.runs:
             where = {"run": run, "data_set": self.data_set, "protocol": self.protocol.name}
             for key in self.scores[run, MEAN]:
@@ -150,15 +150,15 @@ class Section:
                     (COMMON_MEAN, f"over the {counts['common']} scenes that all runs have"),
                 ):
                     where["scene"] = place.replace("mean", self.protocol.presentation.mean_heading)
-                    made.append(record(where, self.score(run, place, key), note=note))
+                    rows.append(record(where, self.score(run, place, key), note=note))
             bounds = self.bounds(run)
             note = f"over {sum(bool(r.bounds) for r in self.results_of(run))} maps with bounds"
-            made += [record(where | {"scene": MEAN}, score, note=note) for score in bounds]
-        return made
+            rows += [record(where | {"scene": MEAN}, score, note=note) for score in bounds]
+        return rows
 
     def to_dict(self, with_pairs: bool) -> dict[str, list[dict[str, Any]]]:
         """Return means, figures, curves and tests as plain values."""
-        found: dict[str, list[dict[str, Any]]] = {
+        parts: dict[str, list[dict[str, Any]]] = {
             "means": [], "headlines": [], "by_threshold": [], "bounds": [], "comparisons": [], "pairs": []
         }  # fmt: skip
         about = {"data_set": self.data_set, "protocol": self.protocol.name}
@@ -168,24 +168,24 @@ class Section:
             for key in self.scores[run, MEAN]:
                 common = {"value_common": self.score(run, COMMON_MEAN, key).value}
                 score = self.score(run, MEAN, key)
-                found["means"].append(where | score.row() | self.counts(run, score.region) | common | statistic)
+                parts["means"].append(where | score.row() | self.counts(run, score.region) | common | statistic)
             score, common = self.overall(run), {"value_common": self.overall(run, COMMON_MEAN).value}
             row = where | score.row() | self.counts(run, score.region) | common | statistic
-            found["headlines"].append(row | {"mask": "+".join(self.figure_regions)})
-            found["bounds"] += [where | score.row() for score in self.bounds(run)]
+            parts["headlines"].append(row | {"mask": "+".join(self.figure_regions)})
+            parts["bounds"] += [where | score.row() for score in self.bounds(run)]
             if curve := self.threshold_curve(run):
                 m = curve[0].metric
-                found["by_threshold"].append({
+                parts["by_threshold"].append({
                     **where, "metric": m.name, "mask": curve[0].region, "unit": m.unit, "convention": m.convention,
                     "thresholds": [s.metric.threshold for s in curve], "values": [s.value for s in curve], **statistic,
                 })  # fmt: skip
         ranking = self.ranking
         for run, test in ranking.tests.items():
             result = {"p_holm": ranking.p_values[run], "significant": ranking.is_significant(run)}
-            found["comparisons"].append({**about, "run": run, "against": ranking.runs[0], **vars(test), **result})
+            parts["comparisons"].append({**about, "run": run, "against": ranking.runs[0], **vars(test), **result})
         for a, b, test, p in self.pairs if with_pairs else ():
-            found["pairs"].append({**about, "run": b, "against": a, **vars(test), "p_holm": p})
-        return found
+            parts["pairs"].append({**about, "run": b, "against": a, **vars(test), "p_holm": p})
+        return parts
 
 
 @dataclass(frozen=True)
@@ -227,8 +227,8 @@ class EvaluationReport:
             for line in filter(None, (r.warning, *(r.run_warnings if with_reports else ()))):
                 of_run[r.run].append((r.scene, line))
                 lines += [] if together else [f"{r.run}: {r.scene}: {line}"]
-        for run, own in of_run.items() if together else ():
-            lines += [f"{run}: {line}" for line in summarized(own)]
+        for run, of_maps in of_run.items() if together else ():
+            lines += [f"{run}: {line}" for line in summarized(of_maps)]
         return lines
 
     @property
@@ -243,35 +243,35 @@ class EvaluationReport:
         for result in self.results:
             if result.scores:
                 groups.setdefault((result.data_set, result.protocol), []).append(result)
-        made = []
+        sections = []
         for (data_set, protocol), results in groups.items():
             # A run without any map of the data set was not computed, or cannot be read: it is not compared.
             usable = {r.run for r in results if not r.error} or set(self.runs)
             runs = tuple(run for run in self.runs if run in usable)
             kept = [result for result in results if result.run in runs]
-            made.append(Section(data_set, self.protocols[protocol], runs, kept))
-        return made
+            sections.append(Section(data_set, self.protocols[protocol], runs, kept))
+        return sections
 
     def records(self) -> list[dict[str, Any]]:
         """Return the rows of ``scores.csv``: every number of all results, then the means of every section."""
-        made = [row for result in self.results for row in result.records()]
-        return made + [row for section in self.sections for row in section.records()]
+        rows = [row for result in self.results for row in result.records()]
+        return rows + [row for section in self.sections for row in section.records()]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values; NaN for no number."""
-        found: dict[str, list[dict[str, Any]]] = {
+        parts: dict[str, list[dict[str, Any]]] = {
             "means": [], "headlines": [], "by_threshold": [], "bounds": [], "comparisons": [], "pairs": []
         }  # fmt: skip
         for section in self.sections:
             for name, rows in section.to_dict(self.with_pairs).items():
-                found[name] += rows
-        pairs = found.pop("pairs")
+                parts[name] += rows
+        pairs = parts.pop("pairs")
         return {
             "truth": self.truth,
             "runs": list(self.runs),
             "plugins": self.plugins,
             "results": [result.to_dict() for result in self.results],
-            **found,
+            **parts,
             "failed": [{"run": r.run, "scene": r.scene, "reason": r.error} for r in self.failed],
             "warnings": self.warnings(),
             **self.flags.to_dict(),

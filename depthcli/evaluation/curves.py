@@ -69,29 +69,25 @@ def sparsifications(
     """Compute the sparsification curves of confidence measures, each for every kind of error.
 
     Pixels of equal confidence have no order among themselves: a share that ends inside such a group gets the
-    group's mean error for its part, so the curve does not depend on the order of the pixels.
+    group's mean error for its part, so the curve does not depend on the order of the pixels. ValueError if the lengths
+    differ, or there is no pixel.
 
     Parameters
     ----------
     confidences : (N,) higher is more confident, +inf the most; NaN less confident than any number
     errors : (N,) bool, wrong or right; or float, absolute errors
-
-    Raises
-    ------
-    ValueError
-        The lengths differ, or there is no pixel.
     """
     shapes = {array.shape for array in (*confidences.values(), *errors.values())}
     if any(len(shape) != 1 or not shape[0] for shape in shapes) or len(shapes) > 1:
         raise ValueError(f"expected (N,) arrays of one length N > 0, got {sorted(shapes)}")
     amounts = {name: error.astype(np.float64) for name, error in errors.items()}
     best = {name: _curve(_groups(-amount), amount) for name, amount in amounts.items()}
-    made = {}
+    curves = {}
     for confidence, values in confidences.items():
         groups = _groups(values)
         for name, amount in amounts.items():
             (curve, auc), (lowest, optimal) = _curve(groups, amount), best[name]
-            made[confidence, name] = Sparsification(
+            curves[confidence, name] = Sparsification(
                 PERCENTAGES,
                 errors=tuple(curve.tolist()),
                 best=tuple(lowest.tolist()),
@@ -102,7 +98,7 @@ def sparsifications(
                 optimal_5_100=float(np.trapezoid(lowest, dx=0.05)),
                 pixels=int(amount.size),
             )
-    return made
+    return curves
 
 
 def _groups(confidence: NDArray[Any]) -> NDArray[np.intp]:
@@ -165,14 +161,9 @@ def is_probability(name: str) -> bool:
 
 
 def reliability(confidence: NDArray[Any], right: NDArray[np.bool_]) -> Reliability | None:
-    """Compute how often pixels are right, by their confidence.
+    """Compute how often pixels are right, (N,) bool, by their confidence, (N,) float.
 
     None where the confidences are no probabilities: not all within 0 .. 1, or there is no pixel.
-
-    Parameters
-    ----------
-    confidence : (N,) any float
-    right : (N,) bool
     """
     values = confidence.astype(np.float64)
     if not values.size or not ((values >= 0) & (values <= 1)).all():  # NaN is not, either

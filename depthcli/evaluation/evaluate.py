@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -22,12 +24,14 @@ from depthcli.evaluation.curves import hidden_pixels
 from depthcli.evaluation.map_files import MapNaming, find_runs, names_in_run, recognized
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load, missing_scores, picture
 from depthcli.evaluation.scores import MapResult
-from depthcli.io.formats.disparity import ScaleError, read_status
+from depthcli.io.formats.disparity import ScaleError, read_disparity, read_status
 from depthcli.io.formats.files import collected_warnings, short_path, warn, write_text
 from depthcli.io.formats.images import write_drawn
 from depthcli.io.formats.map_format import format_plugins
-from depthcli.io.scenes import Scene, layout_plugins
+from depthcli.io.scenes import RgbdScene, Scene, StereoScene, layout_plugins
+from depthcli.io.scenes.find import ALL_KINDS, discover_scenes, scenes_with_files
 from depthcli.io.scenes.places import origin
+from depthcli.io.scenes.rows import Folder
 from depthcli.run.console import Reporter
 from depthcli.run.flags import Condition, flag_rows, plain_name
 from depthcli.run.folder import saved_config, staging_folder
@@ -40,6 +44,65 @@ PAGE_FILE = "report.html"
 _FILES = ("scores.*", "report.md", PAGE_FILE, "contact_sheet.png")
 RESULTS = (*_FILES, "errors/**/*", "bounds/**/*", "curves/**/*", "points/**/*", "assets/*")
 """Shell patterns of the files of an evaluation."""
+
+_DEFAULT_PROTOCOLS = "middlebury-v2", "depth"  # of a truth file in no scene's folder, without --protocol
+
+
+def scenes_with_truth(
+    truth: Path,
+    patterns: Sequence[str] = ("*",),
+    layout: str | None = None,
+    protocol: AnyProtocol | None = None,
+    settings: Settings | None = None,
+    reporter: Reporter | None = None,
+    maps: Iterable[Path] = (),
+) -> list[Scene]:
+    """Return the scenes of a folder that have ground truth, or cannot be used; or the scene of one file of it.
+
+    InputError if no scene has ground truth.
+
+    Parameters
+    ----------
+    patterns : shell patterns of scene names
+    layout : layout of the folder; None recognizes it
+    protocol : by which all are scored, and their kind follows; None: by the protocol of every scene
+    maps : files compared with the truth; a name can show that both are depth
+    """
+    settings, reporter = settings or Settings(), reporter or Reporter(-1)
+    if os.path.isfile(truth):
+        return [_scene_of_file(truth, protocol, settings, reporter, maps)]
+    tried = ALL_KINDS if protocol is None else ALL_KINDS.of_kind(protocol.kind)
+    there = discover_scenes(truth, tried, layout, patterns, reporter.info)
+    scenes = [scene for scene in there if scene.problem or scene.has_truth]
+    if all(scene.problem for scene in scenes):
+        nothing = f"{truth}: no scene there has ground truth (looked for disp_left, disp0GT.pfm, disp2, ...)"
+        lacking = [*filter(None, (scene.lacks_for_truth for scene in there)), nothing]
+        raise InputError(scenes[0].problem if scenes else lacking[0])
+    return scenes
+
+
+def _scene_of_file(
+    truth: Path, protocol: AnyProtocol | None, settings: Settings, reporter: Reporter, maps: Iterable[Path]
+) -> Scene:
+    """Return the scene whose truth a file is, or one of that map alone, of meta.json's or the settings' scale."""
+    if holding := scenes_with_files([truth], ALL_KINDS):
+        return holding[truth]
+    if protocol is None:
+        of_depth = any(file.name.lower().startswith("depth") for file in (truth, truth.parent, *maps))
+        name = _DEFAULT_PROTOCOLS[of_depth]
+        what = "depth" if of_depth else "disparities"
+        reporter.info(f"{truth}: in no scene's folder; scored as {what}, by {name}, unless --protocol is given")
+        protocol = load(name)(settings)
+    meta = Folder(truth.parent, truth.stem, "").meta
+    common: dict[str, Any] = {"name": truth.stem, "folder": truth.parent, "protocol": protocol.name}
+    if issubclass(protocol.kind, StereoScene):
+        codes = None if truth.suffix.lower() == ".pfm" else meta.positive("disp_scale") or settings.scale
+        decode = partial(read_disparity, asks=not protocol.name.startswith("kitti"))
+        return StereoScene(**common, left=truth, disparity_left=truth, disparity_scale=codes, decode=decode)
+    if issubclass(protocol.kind, RgbdScene):
+        alone = RgbdScene(**common, color=truth, depth=truth, depth_true=truth, depth_scale=settings.scale)
+        return alone.with_scale(meta.positive("depth_scale"))
+    raise InputError(f"{truth}: {protocol.name} needs a folder of scenes as the ground truth")
 
 
 class ScoredMap(NamedTuple):
@@ -168,7 +231,7 @@ class _Scoring:
     protocols: dict[str, AnyProtocol] = field(default_factory=dict)  # by name, those that were used
     hints: list[str] = field(default_factory=list)  # assumptions, one line each
     maps: set[Path] = field(default_factory=set)  # files that were read
-    unlike: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # protocol -> scenes that look otherwise
+    misfits: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # protocol -> scenes that look otherwise
     unread: dict[str, list[str]] = field(default_factory=dict)  # run -> why maps of it cannot be read
     unwritten: dict[str, str] = field(default_factory=dict)  # file of a viewer -> why it could not be written
 
@@ -211,7 +274,7 @@ class _Scoring:
                 reporter.info(f"--{name} makes no difference to {', '.join(protocols)}")
         files = self.maps | {value for scene in scenes for value in vars(scene).values() if isinstance(value, Path)}
         plugins = layout_plugins(scenes) | format_plugins(files) | plugins_of(map(type, protocols.values()))
-        for name, scored in self.unlike.items():
+        for name, scored in self.misfits.items():
             (scene, others), more = scored[0], f" and {len(scored) - 1} more" if len(scored) > 1 else ""
             how = "name the protocol with evaluate --protocol, in meta.json, or by --layout"
             self.hints.append(f"{scene}{more}: look like {others}, but scored as {name}: {how}")
@@ -272,20 +335,24 @@ class _Scoring:
 
         files = {name: (protocol.files, names[name]) for name, (_, protocol) in usable.items()}
         for run, place in self.runs.items():
-            given = self.naming[run] = self.choices.naming.get(run, MapNaming())
+            naming = self.naming[run] = self.choices.naming.get(run, MapNaming())
             rows = self.reports[run]
             if rows and not any(name in rows for known in names.values() for name in known):
                 here, there = (", ".join([*of][:3]) + ", ..." * (len(of) > 3) for of in (rows, names))
                 self.hints.append(f"{run}: a run of other scenes ({here}) than the truth ({there})")
             if place.is_dir() and not self.reports[run]:
-                self.naming[run] = recognized(run, place, given, files, fits)
-                if self.naming[run] != given:
+                self.naming[run] = recognized(run, place, naming, files, fits)
+                if self.naming[run] != naming:
                     self.hints.append(f"{run}: taken as its maps: {self.naming[run].pattern} (--pattern sets others)")
 
     def _reader(self, protocol: AnyProtocol, options: MapNaming) -> AnyProtocol:
         """Return the protocol with the settings of one run, by which its maps are read."""
-        own = {name: value for name in ("scale", "invalid") if (value := getattr(options, name)) is not None}
-        return type(protocol)(replace(protocol.settings, **own, any_scale="scale" in own)) if own else protocol
+        settings = {name: value for name in ("scale", "invalid") if (value := getattr(options, name)) is not None}
+        return (
+            type(protocol)(replace(protocol.settings, **settings, any_scale="scale" in settings))
+            if settings
+            else protocol
+        )
 
     def _protocol_of(self, scene: Scene) -> AnyProtocol:
         scene.check()
@@ -306,13 +373,13 @@ class _Scoring:
         except DepthcliError as error:
             return [replace(start, run=run, error=str(error)) for run in self.runs]
         if self.choices.protocol is None and truth.looks_like:
-            self.unlike.setdefault(protocol.name, []).append((scene.name, truth.looks_like))
+            self.misfits.setdefault(protocol.name, []).append((scene.name, truth.looks_like))
         self.show(lambda viewer: viewer.begin_scene(protocol, scene, truth))
         results = []
         for run in self.runs:
-            with collected_warnings() as own:
+            with collected_warnings() as map_lines:
                 result = self._result(replace(start, run=run), protocol, scene, truth, names)
-            results.append(replace(result, warning="; ".join([*lines, *own])))
+            results.append(replace(result, warning="; ".join([*lines, *map_lines])))
         return results
 
     def _result(self, start: MapResult, protocol: AnyProtocol, scene: Scene, truth: Any, names: list[str]) -> MapResult:

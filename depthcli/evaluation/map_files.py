@@ -68,11 +68,11 @@ class MapFiles:
 
         That of ``confidence.pfm`` is called ``confidence``.
         """
-        found = {}
+        files = {}
         for file in sorted(path.parent.glob("confidence*")) if self._in_run_folder(path) else ():
             if file.suffix.lower() in (".pfm", ".npy") and re.match(r"confidence(_|$)", file.stem):
-                found[file.stem.removeprefix("confidence_")] = file
-        return found
+                files[file.stem.removeprefix("confidence_")] = file
+        return files
 
     def companion(self, path: Path, name: str) -> Path | None:
         """Return the file ``bound``, ``probability`` or ``status.png`` in the folder of a map, or None."""
@@ -81,10 +81,10 @@ class MapFiles:
 
     def planes(self, path: Path) -> dict[str, Path]:
         """Return name -> file of the confidence maps, and of ``PROBABILITY``, in the folder of a map."""
-        found, probability = self.confidences(path), self.companion(path, PROBABILITY)
-        if PROBABILITY in found:  # of a network that chooses among maps: confidence_probability.pfm
-            found[f"confidence_{PROBABILITY}"] = found.pop(PROBABILITY)
-        return found | ({} if probability is None else {PROBABILITY: probability})
+        files, probability = self.confidences(path), self.companion(path, PROBABILITY)
+        if PROBABILITY in files:  # of a network that chooses among maps: confidence_probability.pfm
+            files[f"confidence_{PROBABILITY}"] = files.pop(PROBABILITY)
+        return files | ({} if probability is None else {PROBABILITY: probability})
 
     def _in_run_folder(self, path: Path) -> bool:
         """Return whether the map is named as in a run folder, so that the other files of its folder belong to it."""
@@ -135,31 +135,24 @@ class MapNaming:
 
 
 def find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
-    """Return name -> folder or file of every run.
+    """Return name -> folder or file of every run, ``NAME=PLACE``, or ``PLACE``, which is called by its folder's name.
 
-    Parameters
-    ----------
-    runs : ``PLACE``, which is called by its folder's name, or ``NAME=PLACE``
-
-    Raises
-    ------
-    InputError
-        There is none, a place does not exist, or two runs have one name.
+    InputError if there is no run, a place does not exist, or two runs have one name.
     """
-    given = []
+    pairs = []
     for text in map(str, runs):
         name, equals, place = text.partition("=")
         named = equals and name and place and not os.path.exists(text) and "/" not in name
-        given.append((name, local(Path(place))) if named else ("", local(Path(text))))
-    if not given:
+        pairs.append((name, local(Path(place))) if named else ("", local(Path(text))))
+    if not pairs:
         raise InputError("no run to evaluate")
-    if absent := [place for _, place in given if not os.path.exists(place)]:
+    if absent := [place for _, place in pairs if not os.path.exists(place)]:
         raise InputError(f"{shown(absent[0])}: no such folder")
-    unnamed = iter(run_names([place for name, place in given if not name]))
-    names = [name or next(unnamed) for name, _ in given]
+    unnamed = iter(run_names([place for name, place in pairs if not name]))
+    names = [name or next(unnamed) for name, _ in pairs]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"two runs are called {twice[0]}: give one of them another name, NAME=DIR")
-    return dict(zip(names, [place for _, place in given], strict=True))
+    return dict(zip(names, [place for _, place in pairs], strict=True))
 
 
 def run_names(places: Sequence[Path]) -> list[str]:
@@ -177,12 +170,12 @@ def run_names(places: Sequence[Path]) -> list[str]:
 def names_in_run(scenes: Sequence[str], folder: Path | None) -> dict[str, list[str]]:
     """Return the names that each scene of ``folder`` may have in a run folder, the longest form first."""
     count = Counter(scene.rpartition("/")[2] for scene in scenes)
-    found = {}
+    names = {}
     for scene in scenes:
-        found[scene] = [scene] if folder is None else [scene, f"{folder.resolve().name}/{scene}"]
+        names[scene] = [scene] if folder is None else [scene, f"{folder.resolve().name}/{scene}"]
         if count[name := scene.rpartition("/")[2]] == 1:
-            found[scene].append(name)
-    return found
+            names[scene].append(name)
+    return names
 
 
 def recognized(
@@ -195,20 +188,14 @@ def recognized(
     """Return the options with the one pattern that the maps of a run have where none has a usual place.
 
     A pattern is the path of a file in the folder with ``{scene}`` in place of the scene's name, such as
-    ``{scene}/out/{scene}_final.pfm``. Files that are named as something else (``confidence.pfm``, ``right.png``) and
-    such that are named after no scene are left out.
+    ``{scene}/out/{scene}_final.pfm``. Files that are named as something else (``confidence.pfm``, ``right.png``), or
+    after no scene, are left out. InputError, with the files and a ``--pattern``, if several patterns are as frequent
+    and not exactly one of them matches files that can be read.
 
     Parameters
     ----------
-    options : of the run, as given
     scenes : scene -> places of its maps, and the names that it may have in the run folder
     fits : whether a file can be read as the map of a scene with such options
-
-    Raises
-    ------
-    InputError
-        Several patterns are as frequent, and not exactly one of them matches files that can be read; the message
-        names the files and gives a ``--pattern``.
     """
     try:
         if options.pattern or any(files.find(folder, names) for files, names in scenes.values()):
@@ -219,24 +206,24 @@ def recognized(
     paths = list(itertools.islice(_map_paths(folder, suffixes), _MAX_LISTED))
     words = [(scene, re.compile(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])"))
              for scene, (_, names) in scenes.items() for name in names]  # fmt: skip
-    found: dict[str, dict[str, None]] = {}  # pattern -> its scenes
+    patterns: dict[str, dict[str, None]] = {}  # pattern -> its scenes
     for path in paths:
         for scene, word in words:
             pattern, n_replaced = word.subn("{scene}", path)
             if n_replaced:
                 stem = pattern.rpartition("/")[2].lower().split(".")[0]
                 if stem not in _OTHER_STEMS and not _OTHER_WORDS.search(stem):
-                    found.setdefault(pattern, {})[scene] = None
+                    patterns.setdefault(pattern, {})[scene] = None
                 break
-    if not found:
+    if not patterns:
         return options
-    max_scenes = max(map(len, found.values()))
-    likely = [pattern for pattern, of in sorted(found.items()) if len(of) == max_scenes][:_N_SHOWN]
+    max_scenes = max(map(len, patterns.values()))
+    likely = [pattern for pattern, of in sorted(patterns.items()) if len(of) == max_scenes][:_N_SHOWN]
     fitting = likely
     if len(likely) > 1:
         fitting = []
         for pattern in likely:
-            chosen, scene = replace(options, pattern=pattern), next(iter(found[pattern]))
+            chosen, scene = replace(options, pattern=pattern), next(iter(patterns[pattern]))
             place = chosen.files(scenes[scene][0]).find(folder, scenes[scene][1])
             if place is not None and fits(scene, place, chosen):
                 fitting.append(pattern)
@@ -267,41 +254,33 @@ def given_naming(
     pattern, own_pattern = _by_run(pattern_option, patterns or (), runs, _pattern_of)
     scale, own_scale = _by_run("--scale", scales or (), runs, _positive)
     invalid, own_invalid = _by_run("--invalid", invalids or (), runs, float)
-    own = {
+    by_run = {
         run: MapNaming(own_pattern.get(run, ""), own_scale.get(run), own_invalid.get(run), run in own_scale)
         for run in runs
     }
-    return MapNaming(pattern or "", scale, invalid), own
+    return MapNaming(pattern or "", scale, invalid), by_run
 
 
 def _by_run(
     option: str, texts: Sequence[str], runs: Mapping[str, Path], parse: Callable[[str], ValueT]
 ) -> tuple[ValueT | None, dict[str, ValueT]]:
-    """Return the value of an option for all runs, or None, and run -> value of those that have their own.
+    """Return the value of an option for all runs, or None, and run -> value of ``NAME=VALUE`` for that run alone.
 
-    Parameters
-    ----------
-    texts : each ``VALUE``, or ``NAME=VALUE``
-    parse : makes a value of a text, or raises ValueError with the expected form
-
-    Raises
-    ------
-    ConfigError
-        Not such a value, no run of that name, or two values for one.
+    ``parse`` raises ValueError with the expected form. ConfigError for a wrong value, an unknown run, or two values.
     """
-    made: dict[str, ValueT] = {}
+    values: dict[str, ValueT] = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if equals and name not in runs:
             raise ConfigError(f"{option} {text}: no run is called {name!r}; one of: {', '.join(runs)}")
         name, value = (name, value) if equals else ("", text)
-        if name in made:
+        if name in values:
             raise ConfigError(f"{option}: two values for {name or 'all runs'}")
         try:
-            made[name] = parse(value)
+            values[name] = parse(value)
         except ValueError as error:
             raise ConfigError(f"{option}: {error} (got {value!r})") from None
-    return made.pop("", None), made
+    return values.pop("", None), values
 
 
 def _pattern_of(text: str) -> str:

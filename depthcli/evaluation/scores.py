@@ -7,7 +7,7 @@ its region, denominator and density, and its :class:`Metric` the threshold and t
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -118,6 +118,16 @@ class Tally:
         return [
             self.number(Metric("avgerr", "px", convention=ESTIMATED_ONLY), mean, error.size),
             self.number(Metric("rms", "px", convention=ESTIMATED_ONLY), rms, error.size),
+        ]
+
+    def quantiles(self, place: Callable[[int, int], int]) -> list[Score]:
+        """Return ``A50`` to ``A99``, px: ``place`` has the index of the q % quantile among n sorted errors."""
+        ordered, n = np.sort(self.valid), self.valid.size
+        return [
+            self.number(
+                Metric(f"A{q}", "px", convention=ESTIMATED_ONLY), float(ordered[place(q, n)]) if n else math.nan, n
+            )
+            for q in (50, 90, 95, 99)  # as printed by the programs of ETH3D and Middlebury v3
         ]
 
 
@@ -236,17 +246,17 @@ class MapResult:
         """Return the rows of ``scores.csv``: scores, areas of the curves (metric ``AREA:CONFIDENCE:KIND``), failure."""
         where = {"run": self.run, "data_set": self.data_set, "scene": self.scene, "protocol": self.protocol}
         note = f"missing, counted as wholly wrong: {self.error}" if self.error else self.warning
-        made = [record(where, score, self.source, note) for score in (*self.scores, *self.bounds)]
+        rows = [record(where, score, self.source, note) for score in (*self.scores, *self.bounds)]
         for c in self.curves:
             for area, value in c.areas.items():
                 if area != "ece" or c.reliability is not None:
                     metric = Metric(f"{area}:{c.confidence}:{c.of}", "")
-                    made.append(record(where, Score(metric, c.region, value, c.line.pixels, math.nan), self.source))
+                    rows.append(record(where, Score(metric, c.region, value, c.line.pixels, math.nan), self.source))
         if self.hidden is not None:
             for name, value in self.hidden.shares().items():
                 score = Score(Metric(f"hidden {name}", "%"), "all", value, self.hidden.pixels, math.nan)
-                made.append(record(where, score, self.source))
-        return [*made, record(where, None, self.source, self.error)] if self.error else made
+                rows.append(record(where, score, self.source))
+        return [*rows, record(where, None, self.source, self.error)] if self.error else rows
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values."""
@@ -272,8 +282,8 @@ def difference(results: Iterable[MapResult], headline: Metric, several: bool) ->
     """
     values = []
     for result in results:
-        found = [score.value for score in result.scores if score.metric == headline and not result.error]
-        values += [headline.sign * value for value in found[:1] if not math.isnan(value)]
+        headlines = [score.value for score in result.scores if score.metric == headline and not result.error]
+        values += [headline.sign * value for value in headlines[:1] if not math.isnan(value)]
     if not values:
         return -math.inf
     return max(values) - min(values) if several else values[0]

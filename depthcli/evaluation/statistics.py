@@ -26,15 +26,9 @@ def mean_of_known(values: Iterable[float]) -> float:
 
 
 def average_ranks(values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-    """Compute the mean rank of every method over all columns, as the Middlebury v2 table does; rank 1 is lowest.
+    """Return the mean rank of every method over (methods, columns), as the Middlebury v2 table does; 1 is lowest.
 
-    Parameters
-    ----------
-    values : (methods, columns), lower is better; equal values share their mean rank, NaN (no result) ranks last
-
-    Returns
-    -------
-    (methods,) float64, NaN without columns
+    Equal values share their mean rank, NaN (no result) ranks last; (methods,) float64, NaN without columns.
     """
     if values.shape[1] == 0:
         return np.full(values.shape[0], np.nan)
@@ -132,19 +126,16 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 def compare_all(by_scene: Mapping[str, Sequence[float]]) -> list[tuple[str, str, PairedTest, float]]:
     """Return run, other run, their test, and its p value corrected for all pairs after Holm."""
-    found = [(a, b, compare(by_scene[a], by_scene[b])) for a, b in itertools.combinations(by_scene, 2)]
-    corrected = holm([test.p_value for *_, test in found])
-    return [(*each, p) for each, p in zip(found, corrected, strict=True)]
+    tests = [(a, b, compare(by_scene[a], by_scene[b])) for a, b in itertools.combinations(by_scene, 2)]
+    corrected = holm([test.p_value for *_, test in tests])
+    return [(*pair, p) for pair, p in zip(tests, corrected, strict=True)]
 
 
 class Ranking:
-    """Runs in the order of their single figure, and the test of every further one against the best.
+    """Runs, the best single figure first, and the test of every further one against the best.
 
-    Parameters
-    ----------
-    runs : names, the best first
-    by_scene : run -> figure of every scene, lower is better, NaN for none
-    ranks : run -> average rank that is printed beside the words, which follow it; empty: the tests' own
+    ``by_scene`` has the figure of every scene, lower is better, NaN for none; ``ranks`` the average ranks that are
+    printed beside the words, which follow them; without, the words follow the tests' own.
     """
 
     def __init__(

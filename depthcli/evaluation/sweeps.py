@@ -131,8 +131,8 @@ def compared(section: Section, axes: Axes, tried: Mapping[str, Combination], own
     rows: list[Row] = []
     for run in order:
         row = {**where, "run": run, **dict(zip(axes, tried[run], strict=True)), headline.heading: figures[run]}
-        own = {"missing": len(section.missing[run]), "own_values": run == own_run}
-        rows.append(row | {"seconds": mean_of_known(result.seconds for result in section.results_of(run))} | own)
+        facts = {"missing": len(section.missing[run]), "own_values": run == own_run}
+        rows.append(row | {"seconds": mean_of_known(result.seconds for result in section.results_of(run))} | facts)
     combined = {tried[run]: figures[run] for run in order if run != OWN_VALUES}
     return {
         **where,
@@ -156,7 +156,7 @@ def effects(axes: Axes, figures: Mapping[Combination, float], larger_is_better: 
     known = {values: figure for values, figure in figures.items() if not math.isnan(figure)}
     whole = math.fsum(known.values()) / len(known) if known else math.nan
     variance = math.fsum((figure - whole) ** 2 for figure in known.values())
-    found: list[Row] = []
+    effect_rows: list[Row] = []
     for number, key in enumerate(axes):
         rows: list[Row] = []
         for value in axes[key]:
@@ -167,8 +167,8 @@ def effects(axes: Axes, figures: Mapping[Combination, float], larger_is_better: 
         between = math.fsum(row["runs"] * (row["mean"] - whole) ** 2 for row in rows)
         share = between / variance if variance > 0 else math.nan
         spread = max(means) - min(means) if means else math.nan
-        found.append({"key": key, "spread": spread, "share_of_variance": share, "values": rows})
-    return sorted(found, key=lambda row: math.inf if math.isnan(row["spread"]) else -row["spread"])
+        effect_rows.append({"key": key, "spread": spread, "share_of_variance": share, "values": rows})
+    return sorted(effect_rows, key=lambda row: math.inf if math.isnan(row["spread"]) else -row["spread"])
 
 
 def text_of(section: Section, comparison: Row) -> str:

@@ -54,16 +54,16 @@ class ContactSheet(Viewer):
         if image is None or image.ndim != 3 or image.shape[2] != 3:
             return
         self._scene = scene.name
-        own = [_named("image", image)]
+        pictures = [_named("image", image)]
         if values.ndim == 2 and np.isfinite(values).any():
             known = values[np.isfinite(values)]
             self._ends = float(known.min()), float(known.max())
             sensor = presentation.sensor(scene)
-            own.append(self._map("ground truth", values))
+            pictures.append(self._map("ground truth", values))
             if sensor is not None and sensor.shape == values.shape:
-                own.append(self._map("sensor", sensor))
-            own.append(_bar(*self._ends, presentation.unit))
-        self._rows.append(_Row(scene.name, protocol, {"": own}, []))
+                pictures.append(self._map("sensor", sensor))
+            pictures.append(_bar(*self._ends, presentation.unit))
+        self._rows.append(_Row(scene.name, protocol, {"": pictures}, []))
 
     def add_map(self, scored: ScoredMap) -> None:
         result, _, estimate, truth, *_ = scored
@@ -96,7 +96,9 @@ class ContactSheet(Viewer):
             return
         present = set[str]().union(*(row.pictures for row in rows))
         columns = [run for run in ("", *runs) if run in present]
-        heights = [max(sum(len(each) + _GAP for each in row.pictures.get(run, ())) for run in columns) for row in rows]
+        heights = [
+            max(sum(len(picture) + _GAP for picture in row.pictures.get(run, ())) for run in columns) for row in rows
+        ]
         width = _GAP + len(columns) * (_WIDTH + _GAP)
         words = rows[0].protocol.presentation
         kinds = [(text, color) for text, color in zip(words.pixel_kind_names, kind_colors().tolist(), strict=True)

@@ -29,7 +29,7 @@ class Document(Viewer):
     def write(self, report: EvaluationReport, scores: str, configs: Mapping[str, str]) -> None:
         """Write ``report.md``, and legends of the error pictures."""
         write_text(self.folder / self.file, _markdown(report))
-        drawn = [each for each in report.protocols.values() if each.presentation.error_pictures]
+        drawn = [protocol for protocol in report.protocols.values() if protocol.presentation.error_pictures]
         for protocol in drawn if any(not result.error for result in report.results) else []:
             names = protocol.presentation.pixel_kind_names
             legend = draw_legend(zip(names, kind_colors().tolist(), strict=True))

@@ -25,7 +25,6 @@ from depthcli.report.plots import plots
 from depthcli.report.scene_view import SceneView, view_with_truth
 from depthcli.report.terms import heading_help
 from depthcli.report.without_truth import RunWithoutTruth, scenes_without_truth
-from depthcli.run.flags import Flags
 from depthcli.show.table import Number, to_csv
 from depthcli.show.view import MEASURED_CODE, NO_VALUE, error_scales, map_colors
 
@@ -68,27 +67,16 @@ class Page(Viewer):
             view.close(self.folder / _ASSETS / f"scene-{len(self._views)}.js")
             self._views.append(view)
 
-    def write(
-        self, report: EvaluationReport | None, scores: str, configs: Mapping[str, str], flags: Flags | None = None
-    ) -> None:
-        """Write ``report.html``.
-
-        Parameters
-        ----------
-        report : the evaluation; None if no scene has a ground truth
-        scores : all of it as JSON
-        configs : run -> its resolved config, or empty
-        flags : the flagged scenes, which are shown first; None: as in the report
-        """
+    def write(self, report: EvaluationReport, scores: str, configs: Mapping[str, str]) -> None:
+        """Write the page, flagged scenes first; ``report`` has no results if no scene has a ground truth."""
         self._save(self._scene)
-        flags = flags or (report.flags if report else Flags())
-        rank = {each.scene: k for k, each in reversed([*enumerate(flags.flagged)])}
+        rank = {flag.scene: k for k, flag in reversed([*enumerate(report.flags.flagged)])}
         scored = sorted(self._views, key=lambda view: rank.get(view.name, len(rank)))
         without = scenes_without_truth(self.run, self._save) if self.run else None
         views = [*scored, *(without.views if without else ())]
         factor = max(1, math.ceil(math.sqrt(sum(view.packed.size for view in views) / self.budget)))
         for_script = {
-            "runs": report.runs if report else [self.run.name] if self.run else [],
+            "runs": report.runs,
             "assets": [f"{_ASSETS}/{view.packed.file.name}" if factor > 1 else None for view in views],
             "keys": [view.packed.file.stem for view in views],
             "scale": map_colors().tolist(),
@@ -96,15 +84,15 @@ class Page(Viewer):
             "none": NO_VALUE,
             "measured": MEASURED_CODE,
         }
-        shown = [_scene_data(report, view) for view in scored] if report else []
+        shown = [_scene_data(report, view) for view in scored]
         text = _template().render(
             style=_file("page.css"), scripts=[_file("page.js"), _file("viewer.js")], gradient=_gradient(),
-            no_value=NO_VALUE, report=report, command=without_secrets(self.command), flags=flags, factor=factor,
+            no_value=NO_VALUE, report=report, command=without_secrets(self.command), flags=report.flags, factor=factor,
             assets=_ASSETS, measured_code=MEASURED_CODE if any(view.codes for view in views) else "",
             configs={run: text[:_MAX_CONFIG] for run, text in configs.items()},
-            sections=[_section_data(section, self.folder) for section in report.sections] if report else [],
-            overview=tables.overview(report) if report else [], others=tables.further_tables(report) if report else [],
-            kinds=_pixel_kinds(scored), scenes=shown, most=_differing(report, shown) if report else None,
+            sections=[_section_data(section, self.folder) for section in report.sections],
+            overview=tables.overview(report), others=tables.further_tables(report),
+            kinds=_pixel_kinds(scored), scenes=shown, most=_differing(report, shown),
             without=without, number_of={view.name: number for number, view in enumerate(views)},
             data=[view.packed.embedded(factor) for view in views],
             page=script_json(json.dumps(for_script)), scores=script_json(scores),
@@ -123,7 +111,7 @@ def _differing(report: EvaluationReport, shown: Sequence[dict[str, Any]]) -> dic
     """Return the scene of the first section whose maps differ most; None: it has no scene with pictures."""
     name = report.sections[0].protocol.name if report.sections else ""
     several = len(report.runs) > 1
-    fitting = [each for each in shown if each["protocol"].name == name]
+    fitting = [scene for scene in shown if scene["protocol"].name == name]
 
     def differs(scene: dict[str, Any]) -> float:
         return difference([run["result"] for run in scene["runs"]], scene["protocol"].headline, several)
@@ -135,7 +123,7 @@ def _pixel_kinds(views: Sequence[SceneView]) -> list[list[tuple[str, ...]]]:
     """Return the words for every kind of pixel, with the CSS colors of a small and of a large error."""
     ends = [[f"rgb({','.join(map(str, scale[k].tolist()))})" for k in (0, -1)] for scale in error_scales()]
     wordings = dict.fromkeys(view.protocol.presentation.pixel_kind_names for view in views)
-    return [[(words, *end) for words, end in zip(each, ends, strict=True)] for each in wordings]
+    return [[(words, *end) for words, end in zip(kinds, ends, strict=True)] for kinds in wordings]
 
 
 def _section_data(section: Section, folder: Path) -> dict[str, Any]:

@@ -39,12 +39,12 @@ class Plot(NamedTuple):
 
 def plots(section: Section) -> dict[str, Plot]:
     """Return caption -> plot, of all plots that the section has numbers for."""
-    made = {}
+    by_caption = {}
     metric, word = section.protocol.headline.heading_with_unit, section.protocol.presentation.mean_heading
     what = f"{metric}, {section.regions[0]}"
     if len(section.scenes) > 2:
         caption = f"Spread over the scenes ({what}): box: middle half; line: median; dots: scenes"
-        made[caption] = Plot("spread", _boxes(section, what))
+        by_caption[caption] = Plot("spread", _boxes(section, what))
     if lines := {run: scores for run in section.ranking.runs if (scores := section.threshold_curve(run))}:
         caption = f"Against the threshold, {word} of all scenes{_best(len(lines))}; dots: thresholds of the tables"
         rows = [
@@ -54,16 +54,16 @@ def plots(section: Section) -> dict[str, Plot]:
         ]
         lines = dict([*lines.items()][:_MAX_CURVES])
         shown = {run: lines[run] for run in section.runs if run in lines}
-        made[caption] = Plot("threshold", _by_threshold(section, shown), rows)
+        by_caption[caption] = Plot("threshold", _by_threshold(section, shown), rows)
     if any(not math.isnan(r.seconds) for r in section.results):
         of_all = f"{metric}, {' + '.join(section.figure_regions)}"
-        made[f"Mean time of a scene against {of_all}, {word} of all scenes"] = Plot(
+        by_caption[f"Mean time of a scene against {of_all}, {word} of all scenes"] = Plot(
             "times", _times(section, f"{of_all}, {word}")
         )
     if coverage := _coverage(section):
         what = f"Coverage of the bounds against their level, {section.regions[0]}: means over the maps"
-        made[f"{what}; dotted: as promised"] = Plot("coverage", coverage)
-    return made | _confidences(section)
+        by_caption[f"{what}; dotted: as promised"] = Plot("coverage", coverage)
+    return by_caption | _confidences(section)
 
 
 def _boxes(section: Section, what: str) -> str:
@@ -123,8 +123,8 @@ def _times(section: Section, what: str) -> str:
 def _coverage(section: Section) -> str:
     """Return the coverage of the runs' bounds against the levels that they promise; empty if all have one level."""
     key = COVERAGE, section.regions[0]
-    found = [(run, s) for run in section.runs for s in section.bounds(run) if (s.metric.name, s.region) == key]
-    lines = [Line(run, [score.metric.threshold or 0], [score.value]) for run, score in found]
+    coverages = [(run, s) for run in section.runs for s in section.bounds(run) if (s.metric.name, s.region) == key]
+    lines = [Line(run, [score.metric.threshold or 0], [score.value]) for run, score in coverages]
     if len({level for line in lines for level in line.x}) < 2:
         return ""
     lines.append(Line("", (50, 100), (50, 100), bound=True))
@@ -138,11 +138,11 @@ def _confidences(section: Section) -> dict[str, Plot]:
         for c in r.curves:
             name = f"{r.run}: {c.confidence}" if len(section.runs) > 1 else c.confidence
             groups.setdefault((c.region, c.of), {}).setdefault(name, []).append(c)
-    made, reliabilities = {}, {}
+    by_caption, reliabilities = {}, {}
     for (region, of), curves in groups.items():
         errors, best = (
-            {name: tuple(map(mean_of_known, zip(*(getattr(c.line, kind) for c in found), strict=True)))
-             for name, found in curves.items()}
+            {name: tuple(map(mean_of_known, zip(*(getattr(c.line, kind) for c in group), strict=True)))
+             for name, group in curves.items()}
             for kind in ("errors", "best")
         )  # fmt: skip
         ordered = sorted(curves, key=lambda name: sum(errors[name]))
@@ -160,10 +160,10 @@ def _confidences(section: Section) -> dict[str, Plot]:
             for percent, error in zip(PERCENTAGES, errors[name], strict=True)
         ]  # fmt: skip
         svg = line_plot(drawn, over, _SHARE_AXIS, y_label, any_names=True)
-        made[caption] = Plot(f"sparsification_{region}_{of}", svg, rows)
-        known = {name: [c.reliability for c in found if c.reliability] for name, found in curves.items()}
-        known = {name: found for name, found in known.items() if found}
-        pooled = {name: Reliability.pooled(found) for name, found in known.items()}
+        by_caption[caption] = Plot(f"sparsification_{region}_{of}", svg, rows)
+        known = {name: [c.reliability for c in group if c.reliability] for name, group in curves.items()}
+        known = {name: group for name, group in known.items() if group}
+        pooled = {name: Reliability.pooled(group) for name, group in known.items()}
         if pooled:
             over, more = _statistic("pooled", known.values()), _best(len(pooled))
             pooled = dict(sorted(pooled.items(), key=lambda named: named[1].ece)[:_MAX_CURVES])
@@ -179,7 +179,7 @@ def _confidences(section: Section) -> dict[str, Plot]:
             ]  # fmt: skip
             svg = line_plot(drawn, over, "confidence", "share of right pixels", any_names=True)
             reliabilities[caption] = Plot(f"reliability_{region}", svg, rows)
-    return made | reliabilities
+    return by_caption | reliabilities
 
 
 def _statistic(word: str, groups: Iterable[Sequence[object]]) -> str:

@@ -34,6 +34,7 @@ from depthcli.show.view import (
     bound_range,
     draw,
     pixel_kinds,
+    spread,
     status_colors,
     status_words,
 )
@@ -44,7 +45,6 @@ _MARGIN = 0.5  # values up to this share of the truth's range outside it are pac
 _MAX_PICTURE = 480  # pixels, width of a picture among the small ones whose text can be read
 _MAX_SHEET = 1240  # pixels, width of the preview of a volume in the page
 _MAX_CONFIDENCES = 4  # with a small picture and a mean; the others are in the viewer
-_QUANTILES = (1, 99)  # percent, of the values that span the colors where nothing else gives their scale
 _MAX_PIXELS = 3_000_000  # of all slices of a volume that are shown, which keeps its pictures near 10 MB per run
 
 _EXPECTED_WRONG = "expected wrong: mean probability of an error above the run's limit (--within)"
@@ -73,12 +73,12 @@ def slices(shape: tuple[int, ...], max_pixels: int = _MAX_PIXELS) -> list[Slice]
     sides = [shape[:axis] + shape[axis + 1 :] for axis in range(3)]
     axes = [axis for axis in range(3) if min(sides[axis]) > 1] or [0]  # an image of one slice has no others
     step = max(1, math.ceil(len(axes) * math.prod(shape) / max_pixels))
-    made = []
+    planes = []
     for axis in axes:
         for place in range(shape[axis] // 2 % step, shape[axis], step):
             index = tuple(place if other == axis else slice(None) for other in range(3))
-            made.append(Slice(axis, place, shape[axis], index))
-    return made
+            planes.append(Slice(axis, place, shape[axis], index))
+    return planes
 
 
 class SceneView:
@@ -190,7 +190,7 @@ class SceneView:
         on_grid: Any = protocol.presentation.on_grid
         error = np.where(known, on_grid(protocol.error(estimate, truth), truth), np.nan)
         wrong = on_grid(protocol.wrong(estimate, truth), truth) & known
-        values, true = (on_grid(each, truth) for each in (protocol.values(estimate, truth), truth.values))
+        values, true = (on_grid(array, truth) for array in (protocol.values(estimate, truth), truth.values))
         planes: dict[str, Any] = {name: on_grid(plane, truth) for name, plane in confidences.items()}
         limits = _with_margin(*base.scale)
         if dense is not None and dense.values.shape == known.shape:
@@ -271,8 +271,7 @@ class SceneView:
             part, planes = view.part(cut.index), {}
             for name, plane in part.confidence.items():
                 numbers = plane.astype(np.float64)
-                finite = numbers[np.isfinite(numbers)]
-                ends = np.percentile(finite, _QUANTILES).tolist() if finite.size else [0.0, 1.0]
+                ends = spread(numbers) if np.isfinite(numbers).any() else (0.0, 1.0)
                 planes[name] = {**pack(numbers, *range_of(numbers), _CONFIDENCE_LEVELS), "shown": ends}
             place["runs"][run] = {
                 "values": pack(part.values, *limits),
@@ -344,9 +343,8 @@ def range_of(values: NDArray[np.floating[Any]] | None) -> Range:
 
 
 def scale_of(values: NDArray[np.floating[Any]]) -> Range:
-    """Return quantiles of the finite values, never the same; (0, 1) if there is none."""
-    finite = values[np.isfinite(values)]
-    low, high = np.percentile(finite, _QUANTILES).tolist() if finite.size else (0.0, 1.0)
+    """Return the 1st and the 99th percentile of the finite values, never the same; (0, 1) if there is none."""
+    low, high = spread(values) if np.isfinite(values).any() else (0.0, 1.0)
     return low, max(high, low + 1e-3)
 
 

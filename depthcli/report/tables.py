@@ -40,11 +40,11 @@ def short(scene: str) -> str:
 
 def report_tables(report: EvaluationReport) -> list[Table]:
     """Return all narrow tables of an evaluation."""
-    made = []
+    tables = []
     for section in report.sections:
         pairs = [pair_table(section)] if report.with_pairs and len(section.runs) > 1 else []
-        made += _named(report, section, [*section_tables(section), *pairs])
-    return overview(report) + made + further_tables(report)
+        tables += _named(report, section, [*section_tables(section), *pairs])
+    return overview(report) + tables + further_tables(report)
 
 
 def _named(report: EvaluationReport, section: Section, tables: Sequence[Table]) -> list[Table]:
@@ -57,7 +57,7 @@ def _named(report: EvaluationReport, section: Section, tables: Sequence[Table]) 
 def section_tables(section: Section) -> list[Table]:
     """Return the narrow tables of one data set: summary, every metric by region, headline by scene, the protocol's."""
     presentation, scenes, headline = section.protocol.presentation, section.scenes, section.protocol.headline
-    word, made = presentation.mean_heading, [summary(section)]
+    word, tables = presentation.mean_heading, [summary(section)]
     scene_rows = scenes if presentation.scene_rows else []
     mean_rows = [] if scene_rows and len(scenes) == 1 else section.places
     for region in section.regions:
@@ -69,7 +69,7 @@ def section_tables(section: Section) -> list[Table]:
         ]  # fmt: skip
         header = ("run", "scene" if scene_rows else "scenes", *(metric.heading for metric, _ in keys))
         title = f"{section.data_set} - {section.protocol.name}, every metric, {region}"
-        made.append(Table.of_cells(title, header, rows, name=f"metrics-{region}"))
+        tables.append(Table.of_cells(title, header, rows, name=f"metrics-{region}"))
     if len(scenes) > 1 and (len(section.runs) > 1 or not scene_rows):
         rows = [
             (short(scene), run, *(_cell(section, run, scene, (headline, region)) for region in section.regions))
@@ -77,14 +77,14 @@ def section_tables(section: Section) -> list[Table]:
             for run in section.runs
         ]
         title = f"{section.data_set} - {headline.heading} by scene"
-        made.append(Table.of_cells(title, ("scene", "run", *section.regions), rows, name="scenes"))
-    made += bound_tables(section)
+        tables.append(Table.of_cells(title, ("scene", "run", *section.regions), rows, name="scenes"))
+    tables += bound_tables(section)
     for run in section.runs:
         kept = [result.pooling_data for result in section.results_of(run) if result.pooling_data is not None]
         for table in presentation.tables(run, kept) if kept else []:
             title = f"{section.data_set} - {table.title} ({len(kept)} scene{'s' * (len(kept) != 1)})"
-            made.append(replace(table, title=title, name=f"further-{run}"))
-    return made
+            tables.append(replace(table, title=title, name=f"further-{run}"))
+    return tables
 
 
 def summary(section: Section) -> Table:
@@ -140,11 +140,12 @@ def bound_tables(section: Section) -> list[Table]:
     for run, scores in means.items():
         maps = [result for result in section.results_of(run) if result.bounds]
         for region in dict.fromkeys(score.region for score in scores):
-            found = {s.metric.name: s for s in scores if s.region == region}  # of one level, and its last share of BAD
-            cells = [Number(found[name].value if name in found else math.nan, n) for name, n in columns.values()]
+            # Of one level, and of the last share of BAD.
+            by_name = {s.metric.name: s for s in scores if s.region == region}
+            cells = [Number(by_name[name].value if name in by_name else math.nan, n) for name, n in columns.values()]
             bad = [s for s in scores if (s.metric.name, s.region) == (BAD, region)]
             surest |= dict.fromkeys(f"bad of {score.metric.threshold:g} %" for score in bad)
-            start = (run, str(found[COVERING].pixels), region, f"{found[COVERAGE].metric.threshold:g}")
+            start = (run, str(by_name[COVERING].pixels), region, f"{by_name[COVERAGE].metric.threshold:g}")
             rows.append((*start, *cells, *(Number(score.value) for score in bad)))
         for result in maps:
             shares = {s.region: s.value for s in result.bounds if s.metric.name == COVERAGE}
@@ -159,11 +160,11 @@ def bound_tables(section: Section) -> list[Table]:
     regions = list(dict.fromkeys(region for *_, shares in covered for region in shares))
     by_scene = [(run, scene, *(Number(of.get(name, math.nan), 1) for name in regions)) for run, scene, of in covered]
     header = ("run", "maps", "mask", "level %", *columns, *surest)
-    made = [Table.of_cells(title, header, rows, note, "bounds")]
+    tables = [Table.of_cells(title, header, rows, note, "bounds")]
     if len(section.scenes) > 1:
         title = f"{title}, coverage % by scene"
-        made.append(Table.of_cells(title, ("run", "scene", *regions), by_scene, name="bounds-scenes"))
-    return made
+        tables.append(Table.of_cells(title, ("run", "scene", *regions), by_scene, name="bounds-scenes"))
+    return tables
 
 
 def pair_table(section: Section) -> Table:
@@ -271,10 +272,10 @@ def further_tables(report: EvaluationReport) -> list[Table]:
             rows.append((run, f"mean{of}", *what, *_areas(curves)[:-1], "-"))
             if (ece := _areas(curves)[-1]) != "-":
                 rows.append((run, f"pooled{of}", *what, *["-"] * 8, ece))
-    for (data_set, run), found in pooled.items():
-        if len(found) > 1:
-            shares = (Number(value, 1) for value in HiddenPixels.pooled(found).shares().values())
-            hidden.append((run, f"pooled of {len(found)}" + f" of {data_set}" * several, *shares))
+    for (data_set, run), group in pooled.items():
+        if len(group) > 1:
+            shares = (Number(value, 1) for value in HiddenPixels.pooled(group).shares().values())
+            hidden.append((run, f"pooled of {len(group)}" + f" of {data_set}" * several, *shares))
     areas = ("AUC", "optimal", "random", "AUC/optimal", "AUSE", "AURG", "AUC 5-100", "optimal 5-100", "ECE")
     note = (
         "sparsification over the estimated pixels, of wrong ones (bad: by the headline's rule) and of the error; AUC: "
@@ -289,18 +290,18 @@ def further_tables(report: EvaluationReport) -> list[Table]:
     )
     shares_of = ("precision", "recall", "F1", "said hidden %", "truly hidden %")
     failed = [(r.run, r.scene, r.error) for r in report.failed]
-    made = [
+    tables = [
         Table.of_cells("Confidence", ("run", "scene", "mask", "confidence", "of", *areas), rows, note, "confidence"),
         Table.of_cells("Hidden pixels", ("run", "scene", *shares_of), hidden, hidden_note, "hidden"),
         Table.of_cells("Not evaluated", ("run", "scene", "reason"), failed, name="missing"),
     ]
-    return [table for table in made if table.rows]
+    return [table for table in tables if table.rows]
 
 
 def _areas(curves: Sequence[ConfidenceCurve]) -> list[Number]:
     """Return the mean areas of curves, and the calibration error of all pixels together."""
     areas = [c.areas for c in curves]
-    means = {name: mean_of_known(each[name] for each in areas) for name in areas[0]}
+    means = {name: mean_of_known(area[name] for area in areas) for name in areas[0]}
     known = [c.reliability for c in curves if c.reliability is not None]
     means["ece"] = Reliability.pooled(known).ece if known else math.nan
     means["ratio"] = means["auc"] / means["optimal"] if means["optimal"] > 0 else math.nan
@@ -362,20 +363,20 @@ def _wide(
 
     Times are the mean seconds of a scene, of a megapixel, and of 10^9 pixels x disparities.
     """
-    made = [Column("run", str)]
+    all_columns = [Column("run", str)]
     for heading, place, key in columns:
         scene = place if place in section.scenes else ""
         cell = partial(_cell, section, place=place, key=key)
-        made.append(Column(heading, cell, key[0].larger_is_better, scene))
+        all_columns.append(Column(heading, cell, key[0].larger_is_better, scene))
     if ranked:
         ranks = section.average_rank([columns[0][2]])
-        made.append(Column("avg rank", lambda run: Number(ranks[run], 1), False))
+        all_columns.append(Column("avg rank", lambda run: Number(ranks[run], 1), False))
     for heading in ("seconds", "s/MP", "s/GD"):
         cells = {run: Number(mean_of_known(r.times[heading] for r in section.results_of(run))) for run in section.runs}
         if any(cell != "-" for cell in cells.values()):
-            made.append(Column(heading, cells.__getitem__, False))
+            all_columns.append(Column(heading, cells.__getitem__, False))
     note = "*: no map, counted as wholly wrong; see the means over scenes that all runs have"
-    return Table(title, made, section.runs, note * (len(section.places) > 1), name)
+    return Table(title, all_columns, section.runs, note * (len(section.places) > 1), name)
 
 
 def headline_text(report: EvaluationReport) -> str:
@@ -388,8 +389,8 @@ def headline_text(report: EvaluationReport) -> str:
         note = ". ".join(filter(None, [MISSING * (len(section.places) > 1), _gaps_note(section), _tests_note(section)]))
         text = replace(table, note=note).fitted(_WIDTH, spare, ["run"]).text(_WIDTH)
         return text + (f"\n{pair_table(section).text(_WIDTH)}" if report.with_pairs and len(section.runs) > 1 else "")
-    fitted = (each.fitted(_WIDTH, ["protocol", "losses", "regions"], ["data set", "run"]) for each in overview(report))
-    return "".join(table.text(_WIDTH) for table in fitted)
+    spare, names = ["protocol", "losses", "regions"], ["data set", "run"]
+    return "".join(table.fitted(_WIDTH, spare, names).text(_WIDTH) for table in overview(report))
 
 
 def chosen_text(
@@ -399,20 +400,14 @@ def chosen_text(
     form: str | None = None,
     caption: str | None = None,
 ) -> str:
-    """Return tables for a terminal, or in a format.
+    """Return tables for a terminal, or in a format; ConfigError for unknown ones, or a caption of several.
 
     Parameters
     ----------
     names : names of tables, or their beginnings up to a dash; ``all``: all. Empty: all of a format are the wide ones
     columns : headings of the columns to show, in addition to the first one and ``run``; empty: all
-    form : name of one of ``FORMATS``, in which tables of scenes and metrics are wide; None: aligned text, titles and
-        notes wrapped
+    form : one of ``FORMATS``, in which tables of scenes and metrics are wide; None: aligned text, wrapped
     caption : title in place of the table's own
-
-    Raises
-    ------
-    ConfigError
-        There is no such table or column, or a caption for several tables.
     """
     tables = report_tables(report)
     if form is not None:
@@ -425,9 +420,9 @@ def chosen_text(
         tables += others if names else []
     if names:
         called = {name: [t for t in tables if name == "all" or f"{t.name}-".startswith(f"{name}-")] for name in names}
-        if absent := [name for name, found in called.items() if not found and name not in ("all", *NAMES)]:
+        if absent := [name for name, matches in called.items() if not matches and name not in ("all", *NAMES)]:
             raise ConfigError(f"--tables: no table {absent[0]}; there are {', '.join(t.name for t in tables)}")
-        tables = [table for table in tables if any(table in found for found in called.values())]
+        tables = [table for table in tables if any(table in matches for matches in called.values())]
     if columns:
         known = dict.fromkeys(heading for table in tables for heading in table.header[1:])
         if absent := [name for name in columns if name not in known]:

@@ -190,5 +190,5 @@ def heading_help(heading: str) -> str:
     plain = re.sub(r" \(\d+ of \d+\)$", "", heading)  # a number of scenes; or a unit after a comma
     names = dict.fromkeys((heading, plain, plain.rpartition(", ")[0] or plain))
     terms = (*TABLES, *METRICS, *REGIONS)
-    found = next((term for name in names for term in terms if term.fits(name)), None)
-    return "" if found is None else found.about + (f", {found.unit}" if found.unit else "")
+    term = next((term for name in names for term in terms if term.fits(name)), None)
+    return "" if term is None else term.about + (f", {term.unit}" if term.unit else "")

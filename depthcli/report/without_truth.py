@@ -39,8 +39,7 @@ class RunWithoutTruth(NamedTuple):
 class ScenesWithoutTruth:
     """A run's scenes on the page: a table, and the views of scenes with pictures, in its order."""
 
-    run: str
-    warnings: Sequence[str]
+    run: RunWithoutTruth
     table: Table  # a row a scene; its note explains the figures
     by: str  # heading of the figure by which the scenes are ordered; or empty
     n_failed: int  # scenes that failed, which come first and have the reason in their second cell
@@ -77,15 +76,8 @@ def scenes_without_truth(run: RunWithoutTruth, save: Callable[[SceneView], None]
         columns.append(Column(column.heading, cells.__getitem__))
     columns = [column for column in columns if any(column.cell(name) != "-" for name in names)]
     note = "; ".join(dict.fromkeys(view.note for view in views.values() if view.note))
-    return ScenesWithoutTruth(
-        run.name,
-        run.warnings,
-        Table("", columns, names, note),
-        by=keys[0] if keys else "",
-        n_failed=len(reasons),
-        n_left_out=len(left_out),
-        views=[views[name] for name in ordered],
-    )
+    table, by = Table("", columns, names, note), keys[0] if keys else ""
+    return ScenesWithoutTruth(run, table, by, len(reasons), len(left_out), [views[name] for name in ordered])
 
 
 def _figure(view: SceneView | None, key: str) -> str:

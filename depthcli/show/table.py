@@ -214,7 +214,7 @@ def joined(tables: Sequence[Table]) -> Table:
 
     A cell is empty where a table has no such column.
     """
-    # Two scenes of a table may have one name: columns are told apart by how often their heading occurred before.
+    # Two scenes of a table may share a name, so a column is its heading and how often that occurred before.
     places = [{(h, table.header[:j].count(h)): j for j, h in enumerate(table.header)} for table in tables]
     headings = list(dict.fromkeys(heading for place in places for heading in place))
     rows = [

@@ -113,7 +113,7 @@ class View:
                 return value[index][::step, ::step].copy()  # so that the whole is not kept
             return {name: cut(plane) for name, plane in value.items()} if isinstance(value, dict) else value
 
-        return replace(self, **{each.name: cut(getattr(self, each.name)) for each in fields(self)})
+        return replace(self, **{attribute.name: cut(getattr(self, attribute.name)) for attribute in fields(self)})
 
 
 def spread(values: NDArray[np.floating[Any]]) -> Range:

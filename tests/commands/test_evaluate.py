@@ -19,11 +19,10 @@ from depthcli.cli import main
 from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.evaluation import protocols
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.evaluate import Choices, evaluate_runs
+from depthcli.evaluation.evaluate import Choices, evaluate_runs, scenes_with_truth
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.scores import MapResult, find_score
-from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes

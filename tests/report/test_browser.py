@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from depthcli.evaluation.evaluate import Choices, evaluate_runs
-from depthcli.evaluation.truth import scenes_with_truth
+from depthcli.evaluation.evaluate import Choices, evaluate_runs, scenes_with_truth
 from depthcli.io.formats.disparity import read_disparity, read_plane
 from depthcli.report.packing import unpack
 from depthcli.report.page import Page

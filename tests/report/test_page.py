@@ -18,12 +18,11 @@ import pytest
 from depthcli.cli import main
 from depthcli.core.volumes import Grid
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.evaluate import Choices, ScoredMap, evaluate_runs
+from depthcli.evaluation.evaluate import Choices, ScoredMap, evaluate_runs, scenes_with_truth
 from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.scores import MapResult
-from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.volumes import read_volume

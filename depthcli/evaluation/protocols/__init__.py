@@ -232,7 +232,7 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
         if not confidences:
             return []
         regions, error, wrong = truth.regions, self.error(estimate, truth), self.wrong(estimate, truth)
-        made = []
+        curves = []
         for name in [name for name in self.curve_regions if name in regions] or list(regions)[:1]:
             region = regions[name] & ~np.isnan(error)
             if region.any():
@@ -241,8 +241,8 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
                 for (confidence, of), line in lines.items():
                     probable = of == "bad" and is_probability(confidence)
                     right = reliability(chosen[confidence], ~wrong[region]) if probable else None
-                    made.append(ConfidenceCurve(name, confidence, of, line, right))
-        return made
+                    curves.append(ConfidenceCurve(name, confidence, of, line, right))
+        return curves
 
     def points(self, estimate: Estimate, truth: TruthT) -> tuple[list[dict[str, float]], Any]:
         """Return a table of points whose truth is known, and what ``mean`` needs of them; ([], None) for maps."""
@@ -274,12 +274,12 @@ def missing_scores(protocol: AnyProtocol, truth: Truth, dense: bool = False) -> 
     """Return the scores (or ``dense``: the threshold curve) of a scene without a map: the worst value, or NaN."""
     empty = np.full_like(truth.values, np.nan)
     sizes = {name: int(np.count_nonzero(region)) for name, region in truth.regions.items()}
-    made = []
+    scores = []
     for score in (protocol.threshold_curve if dense else protocol.scores)(empty, truth):
         worst, pixels = score.metric.worst, sizes.get(score.region, score.pixels)
         value = math.nan if worst is None or math.isnan(score.density) else worst
-        made.append(replace(score, value=value, pixels=pixels, wrong=None if score.wrong is None else pixels))
-    return made
+        scores.append(replace(score, value=value, pixels=pixels, wrong=None if score.wrong is None else pixels))
+    return scores
 
 
 def shown_pixels(protocol: AnyProtocol, truth: Truth) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

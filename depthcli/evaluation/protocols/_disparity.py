@@ -142,10 +142,10 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         scale = scale_of(path, self.settings.scale, self.settings.any_scale)
         estimate = read_foreign_map(path, scale, self.settings.invalid, codes, self.name.startswith("kitti"))
         try:
-            self.resized(estimate, truth)
+            warning = scale_warning(self.resized(estimate, truth), truth.values)
         except ValueError as error:
             raise InputError(f"{path}: {error}") from None
-        if (warning := scale_warning(self.resized(estimate, truth), truth.values)) is not None:
+        if warning is not None:
             warn(warning)
         return estimate
 

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score
+from depthcli.evaluation.scores import Metric, Score
 
-QUANTILES = (50, 90, 95, 99)  # percent, as printed by the program
 MISSING_NOT_COUNTED = "estimated pixels only; an empty map counts as bad"
 
 
@@ -52,8 +51,5 @@ class Eth3dProtocol(DisparityProtocol):
             square = float(np.mean(valid * valid, dtype=np.float64)) if n_valid else math.nan
             rms = replace(rms, value=float(np.sqrt(np.float32(square))))
             scores += [tally.number(coverage, tally.density, tally.error.size), mean, rms]
-            ordered = np.sort(valid)
-            for q in QUANTILES:
-                value = float(ordered[int(np.float32(n_valid) * np.float32(q / 100))]) if n_valid else math.nan
-                scores.append(tally.number(Metric(f"A{q}", "px", convention=ESTIMATED_ONLY), value, n_valid))
+            scores += tally.quantiles(lambda q, n: int(np.float32(n) * np.float32(q / 100)))
         return scores

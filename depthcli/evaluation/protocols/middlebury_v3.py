@@ -21,12 +21,11 @@ from depthcli.evaluation.protocols._disparity import (
     size,
 )
 from depthcli.evaluation.protocols.middlebury_v2 import derive_masks
-from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Metric, Score, float_sum
+from depthcli.evaluation.scores import MISSING_APART, MISSING_IS_BAD, Metric, Score, float_sum
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.scenes import Scene
 from depthcli.io.stereo_pairs import StereoTruth
 
-QUANTILES = (50, 90, 95, 99)  # percent, as printed by the SDK
 # The site's average weighs the hard scenes with 4 % and the other ten with 8 %.
 _HARD = ("PianoL", "Playroom", "Playtable", "Shelves", "Vintage")
 _MAX_RANGES = 1000  # a value beyond so many search ranges is no value, as the SDK's "infinite" ones
@@ -133,10 +132,8 @@ class MiddleburyV3Protocol(DisparityProtocol):
                     scores.append(tally.rate(Metric(name, "%", t, convention, 100.0, label=label), wrong))
             scores.append(tally.rate(Metric("invalid", "%", None, MISSING_APART, 100.0), missing))
             mean, rms = tally.means()
-            n_valid, ordered = tally.valid.size, np.sort(tally.valid)
+            n_valid = tally.valid.size
             average = float_sum(tally.valid.astype(np.float32)) / n_valid if n_valid else math.nan
             scores += [replace(mean, value=average), rms]
-            for q in QUANTILES:
-                value = float(ordered[max(0, -(-q * n_valid // 100) - 1)]) if n_valid else math.nan
-                scores.append(tally.number(Metric(f"A{q}", "px", convention=ESTIMATED_ONLY), value, n_valid))
+            scores += tally.quantiles(lambda q, n: max(0, -(-q * n // 100) - 1))
         return scores

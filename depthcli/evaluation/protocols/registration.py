@@ -77,9 +77,9 @@ class ExpectedErrorFiles(MapFiles):
     """Volumes of expected errors, with one confidence volume each."""
 
     def confidences(self, path: Path) -> dict[str, Path]:
-        """Return the volume ``confidence`` in the folder of ``expected_error``, or None."""
-        file = path.with_name(path.name.replace("expected_error", "confidence", 1))
-        return {"confidence": file} if file != path and file.is_file() else {}
+        """Return the volume ``confidence`` in the folder of ``expected_error``."""
+        file = self.companion(path, "confidence")
+        return {} if file is None else {"confidence": file}
 
     def companion(self, path: Path, name: str) -> Path | None:
         """Return the volume ``bound`` or ``probability`` in the folder of ``expected_error``, or None."""
@@ -285,20 +285,20 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         """
         scored = [result for result in results if result.scores]
         regions = dict.fromkeys(result.scores[0].region for result in scored)
-        made: list[Score] = []
+        means: list[Score] = []
         for region in regions:
             alike = [r for r in scored if r.scores[0].region == region]
             answered = [r for r in alike if r.pooling_data is not None and np.isfinite(r.pooling_data[0]).any()]
             if len(alike) == 1:
-                made += alike[0].scores
+                means += alike[0].scores
             elif not answered:
-                made += super().mean(alike)
+                means += super().mean(alike)
             else:
-                n_points, n_answered = (sum(r.scores[0].region_pixels for r in each) for each in (alike, answered))
+                n_points, n_answered = (sum(r.scores[0].region_pixels for r in group) for group in (alike, answered))
                 drawn = [_drawn(r.pooling_data, _MAX_POOLED / n_points) for r in answered]
                 scores = point_scores(region, *map(np.concatenate, zip(*drawn, strict=True)))
-                made += [_with_missing(score, 1 - n_answered / n_points, n_points) for score in scores]
-        return made
+                means += [_with_missing(score, 1 - n_answered / n_points, n_points) for score in scores]
+        return means
 
 
 def _axes(grid: Grid) -> tuple[SliceAxis, ...]:
