@@ -51,6 +51,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.get_closest_marker("first") is None)
 
 
+@pytest.fixture
+def same(request: pytest.FixtureRequest) -> golden.Same:
+    """Compare a whole output with a file: ``same(name, text)``."""
+    return lambda name, text: golden.same_text(name, text, request.config.getoption("renew"))
+
+
 def sampled(place: pytest.TempPathFactory, *options: str) -> Path:
     """A folder that ``depthcli sample`` fills."""
     folder = place.mktemp("made")

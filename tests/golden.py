@@ -9,6 +9,7 @@ import json
 import os
 import re
 import tempfile
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +23,7 @@ from depthcli.io.formats.disparity import read_plane
 TESTS = Path(__file__).resolve().parent
 MEASURED = ("seconds", "peak_memory", "version")
 MESSAGES = TESTS / "messages.txt"
+Same = Callable[[str, str], None]
 temporary = Path("/tmp")
 given: dict[str, list[str]] = {}  # by test, of this process
 
@@ -90,16 +92,29 @@ def same_text(name: str, text: str, renewed: bool) -> None:
     assert plain == file.read_text("utf-8"), f"look at tests/outputs/{name}; pytest --renew writes it"
 
 
+def _volume(file: Path) -> Any:
+    import SimpleITK
+
+    return SimpleITK.GetArrayFromImage(SimpleITK.ReadImage(str(file)))
+
+
+def svg_words(file: Path) -> str:
+    """Return the words of a plot on a line: title, axes, marks, legend."""
+    texts = ("".join(each.itertext()) for each in ElementTree.parse(file).iter() if each.tag.endswith("text"))
+    return f"{file.name}: {', '.join(text.strip(chr(0x200B)) for text in texts)}"
+
+
 def same_figures(key: str, folder: Path, renewed: bool) -> None:
     """Compare every map below a folder with the figures of ``key`` in ``tests/outputs/maps.json``, or write them.
 
-    A map has the share of its pixels with a value, and the mean, deviation, and mean step to the right of the values.
+    A map has the share of its pixels with a value, their mean, and the mean step to the pixel on the right.
     """
     found = {}
-    for path in sorted([*folder.rglob("*.pfm"), *folder.rglob("*.npy")]):
-        values = np.asarray(read_plane(path) if path.suffix == ".pfm" else np.load(path), np.float64)
-        known = values[np.isfinite(values)]
-        figures = known.size / values.size, known.mean(), known.std(), np.nanmean(np.abs(np.diff(values, axis=-1)))
+    for path in sorted(path for path in folder.rglob("*") if path.name.endswith((".pfm", ".nii.gz"))):
+        values = np.array(read_plane(path) if path.suffix == ".pfm" else _volume(path), np.float64)
+        values[~np.isfinite(values)] = np.nan
+        known, steps = (each[np.isfinite(each)] for each in (values, np.diff(values, axis=-1)))
+        figures = known.size / values.size, *(each.mean() if each.size else 0.0 for each in (known, np.abs(steps)))
         found[path.relative_to(folder).as_posix()] = [float(f"{figure:.5g}") for figure in figures]
     file = TESTS / "outputs" / "maps.json"
     kept = json.loads(file.read_text("utf-8"))

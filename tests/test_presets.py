@@ -23,6 +23,7 @@ from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.kernels.jit import set_threads
 from tests.command_line import contents
+from tests.golden import same_figures
 
 PRESETS = [(command, name) for command, name, _ in list_presets()]
 
@@ -133,6 +134,7 @@ def test_a_toy_scene_has_the_same_files_by_the_command_and_from_python(
     assert main(words_of(request, command, name, tmp_path / "r")) == 0
     report = json.loads((tmp_path / "r" / "report.json").read_text())
     assert report["done"] >= 1
+    same_figures(f"{command} {name}", tmp_path / "r", request.config.getoption("renew"))
     if command in ("stereo", "fuse"):
         values = read_pfm(tmp_path / "r" / "planes_0" / "disp_left.pfm")
         known = values[np.isfinite(values)]

@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +10,7 @@ import pytest
 from depthcli.cli import main
 from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import write_png
-from tests.golden import same_text, steady_csv, steady_json
-
-Same = Callable[[str, str], None]
-
-
-@pytest.fixture
-def same(request: pytest.FixtureRequest) -> Same:
-    return lambda name, text: same_text(name, text, request.config.getoption("renew"))
+from tests.golden import Same, steady_csv, steady_json
 
 
 def steady_table(text: str) -> str:
