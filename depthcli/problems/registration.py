@@ -49,7 +49,6 @@ from depthcli.run.resources import available_memory, check_memory
 from depthcli.show.table import Column, Row, number, percent, to_csv
 from depthcli.show.volumes import draw_volumes
 
-_USUAL = VolumeBound()
 _MAX_BORDER_SHARE = 0.2  # share of best matches on the border of the search, beyond which errors exceed its range
 _WRONG_MM = 3.0  # expected errors above this count as large
 _DECIMALS = {"confidence": 5, "probability": 5}  # in the landmark table; other columns have 4
@@ -117,8 +116,8 @@ class RegistrationConfidence:
     def bound(self) -> NDArray[np.float32]:
         """The error bound, (Z, Y, X) float32, mm: a share ``level`` of errors is within it.
 
-        It is at least the expected error. It is open (infinite) from ``details.figures["reach"]`` on, the distance of
-        the farthest searched match. Raise InputError if the method has no bound.
+        It is at least the expected error. It is open (infinite) from ``details.figures["reach"]`` on, the radius of
+        the finest search. Raise InputError if the method has no bound.
         """
         return self._map("bound")
 
@@ -338,10 +337,9 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
         clock.include(details.seconds)
         clock.start("bound")
         bounds: dict[str, NDArray[np.float32]] = {}
-        if details.scores:
-            table = read_errors(config.pipeline.error_table)
-            expected, iso, reach = details.expected_error, details.figures["iso"], details.figures["reach"]
-            bounds = bounds_of(details.scores, expected, iso, reach, table, config.bound)
+        if details.score is not None:
+            table, iso = read_errors(config.pipeline.error_table), details.figures["iso"]
+            bounds = bounds_of(details.score, details.expected_error, iso, table, config.bound)
         clock.start("other")
         details.figures.update(inside_figures(details, loaded, bounds.get("bound")))
         warnings = []
@@ -482,30 +480,14 @@ def _status_of(bound: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def bounds_of(
-    scores: Sequence[NDArray[np.float32]],
-    expected: NDArray[np.float32],
-    iso: float,
-    reach: float,
-    table: ErrorTable,
-    promise: VolumeBound,
+    score: NDArray[np.float32], expected: NDArray[np.float32], iso: float, table: ErrorTable, promise: VolumeBound
 ) -> dict[str, NDArray[np.float32]]:
-    """Return bound, mm, and probability for the scores of a result, from a table of errors in voxels.
+    """Return bound, mm, and probability for the score of a result, from a table of errors in voxels.
 
-    They are from the finest resolution whose default bound is within its own search range. Bounds are at least the
-    expected error. The result is empty without scores.
+    Bounds are at least the expected error.
     """
-    bounds: dict[str, NDArray[np.float32]] = {}
-    for k, score in reversed(list(enumerate(scores))):
-        unit = iso * 2**k
-        finer = {
-            "bound": table.bound(score, promise.level) * np.float32(unit),
-            "probability": table.probability(score, promise.within / unit),
-        }
-        if bounds:
-            ends = table.bound(score, _USUAL.level) * unit >= reach / 2 ** (len(scores) - 1 - k)
-            finer = {name: np.where(ends, bounds[name], values) for name, values in finer.items()}
-        bounds = finer
-    return {**bounds, "bound": np.maximum(bounds["bound"], expected)} if bounds else {}
+    bound = np.maximum(table.bound(score, promise.level) * np.float32(iso), expected)
+    return {"bound": bound, "probability": table.probability(score, promise.within / iso)}
 
 
 def _beyond_search(figures: Mapping[str, Any]) -> bool:

@@ -225,11 +225,25 @@ def test_bounds_and_probabilities_of_registrations_are_monotone():
         assert (less.probability <= more.probability).all()
         np.testing.assert_array_equal(less.values, more.values)
     assert all(one.probability.min() >= 0 and one.probability.max() <= 1 for one in found)
-    assert found[2].details.figures["reach"] == 10
+    assert found[2].details.figures["reach"] == 5
     for one in found:
         assert (one.bound >= one.values).all()
-        assert one.bound[np.isfinite(one.bound)].max() < 10
+        assert one.bound[np.isfinite(one.bound)].max() < 5
         np.testing.assert_array_equal(one.status, np.isposinf(one.bound))
+
+
+def test_further_resolutions_leave_the_calibrated_bounds_or_open_them():
+    wide = make_deformed_pair(1, (20, 24, 24), 5.0)
+    one, three = (
+        depthcli.registration_confidence(wide.fixed, wide.warped, (1.0, 1.0, 1.0), "mind", {"levels": levels})
+        for levels in (1, 3)
+    )
+    assert not np.array_equal(one.values, three.values)
+    finite = np.isfinite(three.bound)
+    assert finite.any() and np.isposinf(three.bound[np.isposinf(one.bound)]).all()
+    assert three.bound[finite].max() < one.details.figures["reach"] == three.details.figures["reach"]
+    np.testing.assert_array_equal(three.bound[finite], np.maximum(one.bound, three.values)[finite])
+    np.testing.assert_array_equal(one.probability, three.probability)
 
 
 def test_a_bound_that_ends_with_the_search_is_open(tmp_path: Path):

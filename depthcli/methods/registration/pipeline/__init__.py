@@ -29,8 +29,8 @@ class RegistrationResult(Result):
     expected_error : (z, y, x) float32, mm
     shift : (3, z, y, x) float32, displacement from a voxel to its match, (z, y, x) mm along the volume's axes; None:
         the method searches for no match
-    scores : (z, y, x) float32 for each resolution, the finest first; larger is more reliable. An error table in voxels
-        of the resolution converts them to error bounds; empty: the method gives no bound
+    score : (z, y, x) float32, larger is more reliable. An error table in voxels of the search converts it to error
+        bounds; None: the method gives no bound
     measures : name -> (z, y, x) float32, of the first feature at full resolution
     step, start : step and start of the maps' grid, in voxels of the fixed volume, (z, y, x)
     certainty : (z, y, x) float32 in [0, 1]: exp(-expected error / 3 mm)
@@ -40,7 +40,7 @@ class RegistrationResult(Result):
     step: tuple[float, float, float]
     start: tuple[float, float, float]
     shift: NDArray[np.float32] | None = None
-    scores: tuple[NDArray[np.float32], ...] = ()
+    score: NDArray[np.float32] | None = None
     measures: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     certainty: NDArray[np.float32] = field(init=False)
 
@@ -71,7 +71,7 @@ class RegistrationPipeline(Method):
 
     @property
     def error_table(self) -> str:
-        """Name of the package's table that converts scores to error bounds; empty: results have no scores."""
+        """Name of the package's table that converts scores to error bounds; empty: results have no score."""
         return ""
 
     @abstractmethod
@@ -81,8 +81,9 @@ class RegistrationPipeline(Method):
         Returns
         -------
         Finite errors >= 0. ``figures`` has ``mean_error``, mm. If the method searches for matches, it has ``border``,
-        the share of matches on the border of the search. With scores, it has ``iso``, the side of a voxel of the finest
-        resolution, mm, and ``reach``, the largest displacement along an axis of the coarsest search, mm.
+        the share of matches on the border of the search. With a score, it has ``iso``, the side of a voxel that the
+        table's errors are in, mm, and ``reach``, mm, the bound from which on bounds are open: the largest displacement
+        along an axis of the search that the score is from.
         """
 
     @abstractmethod

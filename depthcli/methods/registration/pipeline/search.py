@@ -115,7 +115,8 @@ class RegistrationSearch(RegistrationPipeline):
         """Search around every voxel, and convert the measures of its cost curve to mm, on the working grid.
 
         ``figures``: ``border``, the share of voxels of interest whose cheapest displacement is on the border of the
-        coarsest search; ``iso``, mm; ``mean_error``, mm; ``reach``, the radius of the coarsest search, mm.
+        coarsest search; ``iso``, mm; ``mean_error``, mm; ``reach``, the radius of the finest search, mm. Bounds are
+        calibrated for that search alone: where the error exceeds it, they are open.
         """
         clock = Clock()
         clock.start("resample")
@@ -147,13 +148,13 @@ class RegistrationSearch(RegistrationPipeline):
             "iso": round(float(iso), 6),
             "border": round(float((coarse or fine)[-1].border[measured].mean()), 6),
             "mean_error": round(float(error[measured].mean(dtype=np.float64)), 6),
-            "reach": round(float(self.radius * iso * 2 ** len(coarse)), 6),
+            "reach": round(float(self.radius * iso), 6),
         }
         z, y, x = (step * (self.stride if n > 1 else 1) for step, n in zip(grid.step, grid.shape, strict=True))
         return RegistrationResult(
             expected_error=error,
             shift=displacement,
-            scores=self._scores(fine, coarse, iso),
+            score=self._score(fine, iso),
             measures=fine[0].maps,
             step=(z, y, x),
             start=grid.start,
@@ -233,16 +234,12 @@ class RegistrationSearch(RegistrationPipeline):
             displacement = displacement + share * (curves.displacement - displacement)
         return error, displacement
 
-    def _scores(
-        self, fine: list[CurveMeasures], coarse: list[CurveMeasures], iso: float
-    ) -> tuple[NDArray[np.float32], ...]:
-        # For each resolution, return -log2 of the expected error in its voxels, always from eshift. Without a match, a
-        # search with a smaller radius than the table's expects smaller errors; ``doubt`` compensates for that.
-        scores, doubt = [], max(1, _SCORE_RADIUS / self.radius)
-        for k, searches in enumerate([fine, *([curves] for curves in coarse)]):
-            error = expected_error(searches, "eshift", iso * 2**k, _SCORE_SMOOTHING / self.stride)
-            scores.append(-np.log2(np.maximum(error * np.float32(doubt / (iso * 2**k)), np.float32(_MIN_ERROR))))
-        return tuple(scores)
+    def _score(self, fine: list[CurveMeasures], iso: float) -> NDArray[np.float32]:
+        # Return -log2 of the expected error in voxels, always from eshift. Without a match, a search with a smaller
+        # radius than the table's expects smaller errors; ``doubt`` compensates for that.
+        doubt = max(1, _SCORE_RADIUS / self.radius)
+        error = expected_error(fine, "eshift", iso, _SCORE_SMOOTHING / self.stride)
+        return np.asarray(-np.log2(np.maximum(error * np.float32(doubt / iso), np.float32(_MIN_ERROR))), np.float32)
 
 
 def _ramp(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.float32]:
