@@ -40,7 +40,8 @@ def test_a_curve_plot_names_the_areas():
     svg = curve_plot(curves, "run: scene", "bad")
     for name, curve in curves.items():
         assert f"{name} {curve.auc:.4f}" in svg
-    assert f"optimal {curves['lrc'].optimal:.4f}" in svg
+    assert f"optimal {curves['lrc'].optimal:.4f}" in svg and "error rate" in svg
+    assert "mean absolute error" in curve_plot(curves, "run: scene", "error")
 
 
 def test_a_plot_has_six_curves_at_most_the_best():

@@ -18,10 +18,11 @@ from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo import tiling
 from depthcli.methods.stereo.matching import Limits, host_bytes, match
 from depthcli.methods.stereo.pipeline.local import Local
+from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.tiling import tile_by_tile
 from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, PROCESS_BYTES, Candidates, Margins, Tile
-from depthcli.methods.stereo.tiling.tile_by_tile import TiledWinners
+from depthcli.methods.stereo.tiling.tile_by_tile import Prior, TiledWinners, refined_map
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.inputs import TINY, blocky_pair, random_volume, texture, threads
@@ -229,6 +230,22 @@ def test_a_pair_that_may_be_matched_in_tiles_takes_no_more_than_they():
 
 
 @pytest.mark.slow
+def test_speckles_as_large_as_thin_structures_go_but_for_these():
+    found = TiledWinners((24, 32), False)
+    found.left[:] = 5
+    stays, goes, small = np.s_[4:7, 4:7], np.s_[4:7, 20:23], np.s_[14:16, 4:6]  # more than 4 pixels, or not
+    found.left[stays] = found.left[goes] = found.left[small] = 15
+    image, half = np.zeros((24, 32, 3), np.uint8), np.zeros((12, 16), np.int16)
+    thin = np.full((2, *half.shape), 1000, np.float32)  # none
+    thin[:, :5, :6] = np.reshape([14, 15], (2, 1, 1))
+    prior = Prior(half.astype(np.float32), Candidates.__new__(Candidates), half, half, thin, 2)
+    refined = refined_map([SpeckleFilter(size=4)], found, StereoPair(image, image), 31, prior)
+    removed = np.zeros((24, 32), bool)
+    removed[goes] = removed[small] = True
+    np.testing.assert_array_equal(np.isnan(refined.values), removed)
+    np.testing.assert_array_equal(refined.values[~removed], found.left[~removed])
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="peak sizes of processes are measured on Linux")
 @pytest.mark.skipif("NUMBA_BOUNDSCHECK" in os.environ, reason="checked kernels are compiled anew, which takes memory")
 def test_the_process_stays_within_the_memory_allowed(tmp_path: Path):
