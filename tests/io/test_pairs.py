@@ -45,6 +45,11 @@ def test_patterns(tmp_path: Path):
     both |= {"0003": (None, "0003.png"), "0004": ("0004.png", None)}
     assert named(tmp_path / "left/*.png", tmp_path / "right/*.png") == both
     assert named(tmp_path / "left", tmp_path / "right") == both
+    for side in ("left", "right"):  # a folder's name is no pattern
+        (tmp_path / side).rename(tmp_path / f"{side}[1]")
+    assert named(tmp_path / "left[1]", tmp_path / "right[1]") == both
+    for side in ("left", "right"):
+        (tmp_path / f"{side}[1]").rename(tmp_path / side)
     # Patterns that differ: the whole names count.
     assert set(named(tmp_path / "left/000[12].png", tmp_path / "right/*.png")) == {"0001", "0002", "0003"}
     put(tmp_path / "a/left", "1.png")

@@ -467,18 +467,21 @@ class _Image(NamedTuple):
 
 def _images(place: Path) -> list[_Image]:
     """Return the images of a pattern or a folder, sorted. Raise ConfigError if there are none."""
-    pattern = place / "*" if os.path.isdir(place) else place
-    expressions = [re.compile(_with_groups(part)) for part in pattern.parts]
-    first = next((k for k, part in enumerate(pattern.parts) if _WILD.search(part)), 0)
+    is_folder = os.path.isdir(place)
+    parts = (*place.parts, "*") if is_folder else place.parts
+    wild = [k for k, part in enumerate(parts) if _WILD.search(part)]
+    n_fixed = wild[0] if wild and not is_folder else len(parts) - 1
+    expressions = [re.compile(_with_groups(part)) for part in parts[n_fixed:]]
     images = []
-    for file in sorted(map(Path, glob.glob(str(pattern)))):
+    for file in sorted(map(Path, glob.glob(f"{glob.escape(str(place))}/*" if is_folder else str(place)))):
         if file.suffix.lower() in IMAGE_SUFFIXES:
-            matches = (one.fullmatch(part) for one, part in zip(expressions, file.parts, strict=True))
+            varying = file.parts[n_fixed:]
+            matches = (one.fullmatch(part) for one, part in zip(expressions, varying, strict=True))
             texts = ("".join(match.groups()) for match in matches if match)
             captured = "/".join(filter(None, texts)).removesuffix(file.suffix)
-            images.append(_Image(file, captured, str(Path(*file.parts[first:]).with_suffix(""))))
+            images.append(_Image(file, captured, str(Path(*varying).with_suffix(""))))
     if not images:
-        if os.path.isdir(place):
+        if is_folder:
             Folder(place, "", "").has()  # raises InputError if it cannot be read
         query = "; a query behind its URL is read of archives alone" if ":/" in str(place) else ""
         raise ConfigError(f"{place}: matches no image{query}")
