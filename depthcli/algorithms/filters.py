@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 
 _BAND = 32  # rows per task
 _DISC_GAP = 2.0  # neighbors at a discontinuity differ by more than this disparity, pixels
@@ -54,7 +54,7 @@ def correlation(
     return product
 
 
-@jit
+@helper
 def _mirrored(at, size):
     # Return the reflected index, like OpenCV's BORDER_REFLECT_101.
     while size > 1 and not 0 <= at < size:
@@ -62,7 +62,7 @@ def _mirrored(at, size):
     return at if size > 1 else 0
 
 
-@jit
+@helper
 def add(row, sums):
     """Add ``row`` to the flat ``sums``, element by element; ``row`` may be longer."""
     for i in range(sums.size):
@@ -76,7 +76,7 @@ def _average(begin, end, planes, side, out):
     bands, reach, share = -(-height // _BAND), side // 2, 1.0 / (side * side)
     for task in range(begin, end):
         n, top = task // bands, task % bands * _BAND
-        sums, total = np.zeros(width + 2 * reach), np.empty(width)
+        sums, total = zeros(width + 2 * reach, np.float64), empty(width, np.float64)
         columns = sums[reach : reach + width]
         for v in range(top - reach, top + reach):
             add(planes[n, _mirrored(v, height)], columns)
@@ -101,7 +101,7 @@ def _correlate(begin, end, mean, square, product, other_mean, other_variance):
     count, _, width = mean.shape
     zero, noise = np.float32(0), np.float32(4)
     for y in range(begin, end):
-        scratch = np.empty(width, np.float32)
+        scratch = empty(width, np.float32)
         for n in range(count):
             m, s, p = mean[n, y], square[n, y], product[n, y]
             for x in range(width):

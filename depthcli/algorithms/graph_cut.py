@@ -8,7 +8,7 @@ import maxflow
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from depthcli.kernels.jit import jit
+from depthcli.kernels.jit import empty, helper, jit, zeros
 
 
 def binary_cut(
@@ -104,15 +104,15 @@ class _Arcs(NamedTuple):
 
 @jit
 def _arcs(count, edges, weights):
-    starts = np.zeros(count + 1, np.int64)
+    starts = zeros(count + 1, np.int64)
     for e in range(len(edges)):
         for n in edges[e]:
             starts[n + 1] += 1
     for n in range(count):
         starts[n + 1] += starts[n]
     free = starts[:count].copy()
-    end, reverse = np.empty(starts[count], np.int32), np.empty(starts[count], np.int32)
-    weight = np.empty(starts[count], np.float64)
+    end, reverse = empty(starts[count], np.int32), empty(starts[count], np.int32)
+    weight = empty(starts[count], np.float64)
     for e in range(len(edges)):
         p, q = edges[e]
         there, back = free[p], free[q]
@@ -135,15 +135,15 @@ def _arcs(count, edges, weights):
 def _expand(labels, by_label, arcs, energy, max_sweeps):
     n_labels, nodes = by_label.shape
     capacity, rest = np.empty_like(arcs.weight), np.empty_like(arcs.weight)
-    base = np.empty(nodes, np.float64)  # cost of the node's label, plus half the weights of edges to other labels
+    base = empty(nodes, np.float64)  # cost of the node's label, plus half the weights of edges to other labels
     tiny = 0.0  # smaller gains and capacities are rounding errors
     for n in range(nodes):
         _renew(n, labels, by_label, arcs, capacity, rest, base)
         tiny = max(tiny, 1e-12 * np.sum(arcs.weight[arcs.starts[n] : arcs.starts[n + 1]]))
-    gain = np.empty(nodes, np.float64)
-    height, number = np.zeros(nodes, np.int32), np.zeros(nodes + 2, np.int32)
-    raised, queue = np.empty(nodes + 1, np.int32), np.empty(nodes, np.int32)
-    moves = np.zeros(nodes, np.bool_)
+    gain = empty(nodes, np.float64)
+    height, number = zeros(nodes, np.int32), zeros(nodes + 2, np.int32)
+    raised, queue = empty(nodes + 1, np.int32), empty(nodes, np.int32)
+    moves = zeros(nodes, np.bool_)
     since_change = 0  # labels tried since the last move that lowered the energy
     for turn in range(max_sweeps * n_labels):
         if since_change >= n_labels:
@@ -181,11 +181,11 @@ def _expand(labels, by_label, arcs, energy, max_sweeps):
                 _renew(n, labels, by_label, arcs, capacity, rest, base)
                 for m in arcs.end[arcs.starts[n] : arcs.starts[n + 1]]:
                     if not moves[m]:
-                        _renew(m, labels, by_label, arcs, capacity, rest, base)
+                        _renew(np.int64(m), labels, by_label, arcs, capacity, rest, base)
         moves[moved] = False
 
 
-@jit
+@helper
 def _renew(n, labels, by_label, arcs, capacity, rest, base):
     # Update capacities and base cost of node n from the labels of n and its neighbors.
     base[n] = by_label[labels[n], n]
@@ -199,7 +199,7 @@ def _renew(n, labels, by_label, arcs, capacity, rest, base):
 _CLOSED = 1 << 30  # height of nodes without a path to a node that absorbs gains
 
 
-@jit
+@helper
 def _absorb(arcs, rest, gain, tiny, height, number, raised, queue):
     # Let gains flow to nodes with negative gains within the residual capacities ``rest``, by push-relabel (Goldberg and
     # Tarjan, JACM 1988). A gain flows to a neighbor one step lower. A node without a lower neighbor rises above its
@@ -261,7 +261,7 @@ def _absorb(arcs, rest, gain, tiny, height, number, raised, queue):
     return count
 
 
-@jit
+@helper
 def _reached(raised, labels, alpha, arcs, rest, gain, tiny, moves, queue):
     # Mark the nodes that remaining gains reach, list them in the queue, and return their number.
     count = 0

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.kernels.lanes import WIDE, load_like, maximum, minimum, splat_like, store, wide_zero
 
 INPUT_BOUND = np.float32(4.0)  # standard deviations; scripts/train_choice.py clips at the same value
@@ -104,7 +104,7 @@ def _tiled(weights: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.ascontiguousarray(weights.reshape(inputs, units // TILE, TILE).transpose(1, 0, 2))
 
 
-@jit
+@helper
 def set_input(values, center, factor, inputs, k):
     """Write input ``k`` of WIDE pixels, given as a vector, to flat ``inputs``, input by input."""
     low, high = splat_like(values, -INPUT_BOUND), splat_like(values, INPUT_BOUND)
@@ -112,7 +112,7 @@ def set_input(values, center, factor, inputs, k):
     store(inputs, k * WIDE, minimum(maximum(z, low), high))
 
 
-@jit
+@helper
 def run_layers(inputs, offsets, w1, w2, b2, w3, b3, hidden, out, at):
     """Write the log odds of WIDE pixels to ``out`` from ``at`` on; flat ``hidden`` is scratch for all units."""
     first, second = w1.shape[0] * TILE, w2.shape[0] * TILE
@@ -126,7 +126,7 @@ def run_layers(inputs, offsets, w1, w2, b2, w3, b3, hidden, out, at):
     store(out, at, odds)
 
 
-@jit
+@helper
 def _layer(source, weights, offsets, target):
     # Rectified units of a wide vector of pixels. Four sums at a time hide the latency of the additions.
     zero = wide_zero()
@@ -150,8 +150,8 @@ def _layer(source, weights, offsets, target):
 def _evaluate(begin, end, alone, others, mean, scale, offsets, w1, w2, b2, w3, b3, out):
     pixels, n_alone = out.size, len(alone)
     for task in range(begin, end):
-        inputs = np.empty(mean.size * WIDE, np.float32)
-        hidden = np.empty((w1.shape[0] + w2.shape[0]) * TILE * WIDE, np.float32)
+        inputs = empty(mean.size * WIDE, np.float32)
+        hidden = empty((w1.shape[0] + w2.shape[0]) * TILE * WIDE, np.float32)
         zero, start = wide_zero(), task * CHUNK
         for at in range(start, min(pixels, start + CHUNK), WIDE):
             first = min(at, pixels - WIDE)  # the last vector may overlap the previous one

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 
 BAND = 32
 """Rows of an image per task; the result does not depend on it."""
 
 
-@jit
+@helper
 def root(parent, i):
     """Return the root of i in a disjoint-set forest of (N,) ``parent`` indices, and shorten the path to it."""
     while parent[i] != i:
@@ -23,7 +23,7 @@ def root(parent, i):
     return i
 
 
-@jit
+@helper
 def join(parent, i, j):
     """Unite the sets of i and j. The smaller root remains, so that labels do not depend on the order of joining."""
     i, j = root(parent, i), root(parent, j)
@@ -59,7 +59,7 @@ def _joined(color, limit, parent):
     return consecutive(parent)
 
 
-@jit
+@helper
 def _similar(color, other, limit):
     squared = np.int64(0)
     for c in range(color.size):
@@ -68,7 +68,7 @@ def _similar(color, other, limit):
     return squared <= limit
 
 
-@jit
+@helper
 def _join_rows(color, y, limit, parent):
     width = color.shape[1]
     below = above = -1  # sets that were joined last
@@ -82,7 +82,7 @@ def _join_rows(color, y, limit, parent):
 @jit
 def consecutive(parent):
     """Return (N,) int32 labels of the sets, numbered in the order of their roots."""
-    labels = np.empty(parent.size, np.int32)
+    labels = empty(parent.size, np.int32)
     count = 0
     for i in range(parent.size):
         if parent[i] == i:  # parents come before their members
@@ -121,7 +121,7 @@ class RegionPixels(NamedTuple):
 
 @jit
 def _divided(order, starts, chosen):
-    first, second = np.empty(order.size + 1, np.int64), np.empty(order.size + 1, np.int64)
+    first, second = empty(order.size + 1, np.int64), empty(order.size + 1, np.int64)
     first_starts = np.zeros_like(starts)
     count = 0
     for s in range(starts.size - 1):
@@ -134,13 +134,13 @@ def _divided(order, starts, chosen):
 
 @jit
 def _counting_sort(labels, chosen, count):
-    starts = np.zeros(count + 1, np.int64)
+    starts = zeros(count + 1, np.int64)
     for p in range(labels.size):
         if chosen[p]:
             starts[labels[p] + 1] += 1
     for s in range(count):
         starts[s + 1] += starts[s]
-    order = np.empty(starts[count], np.int64)
+    order = empty(starts[count], np.int64)
     free = starts[:count].copy()
     for p in range(labels.size):
         if chosen[p]:
@@ -151,12 +151,12 @@ def _counting_sort(labels, chosen, count):
 
 
 def connected_components(color: NDArray[Any], max_distance: float) -> NDArray[np.int32]:
-    """Return labels of the connected regions of similar color in an (H, W, C) image of integers.
+    """Return labels of the connected regions of similar color in an (H, W, C) image of integers, at most int32.
 
     4-neighbors whose Euclidean color distance is at most ``max_distance`` belong to the same region. Labels count from
     0 in raster order of the regions' first pixels.
     """
-    return _components(np.ascontiguousarray(color), max_distance * max_distance)
+    return _components(np.ascontiguousarray(color, np.int32), max_distance * max_distance)
 
 
 def connected_components_of_labels(labels: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -197,7 +197,7 @@ def region_graph(labels: NDArray[np.int32], image: NDArray[Any]) -> RegionGraph:
 
 @jit
 def _sums(labels, colors, count):
-    sizes, sums = np.zeros(count, np.int64), np.zeros((count, colors.shape[1]))
+    sizes, sums = zeros(count, np.int64), zeros((count, colors.shape[1]), np.float64)
     for p in range(labels.size):
         sizes[labels[p]] += 1
         for c in range(colors.shape[1]):
@@ -209,12 +209,12 @@ def _sums(labels, colors, count):
 def _edges(starts, neighbors, boundary):
     # Return the sorted (E, 2) edges i < j, each once, and their boundaries, from the result of region_adjacency.
     count = starts.size - 1
-    free = np.zeros(count + 1, np.int64)
+    free = zeros(count + 1, np.int64)
     for i in range(count):
         free[i + 1] = free[i]
         for k in range(starts[i], starts[i + 1]):
             free[i + 1] += neighbors[k] > i
-    edges, lengths = np.empty((free[count], 2), np.int32), np.empty(free[count], np.int64)
+    edges, lengths = empty((free[count], 2), np.int32), empty(free[count], np.int64)
     for j in range(count):
         for k in range(starts[j], starts[j + 1]):
             i = neighbors[k]
@@ -256,13 +256,13 @@ def merge_small_regions(
 def _find_targets(begin, end, small, means, parent, following, starts, neighbors, boundary, by_boundary, target):
     # Write the neighbors that the ``small`` regions join, -1 = none.
     for task in range(begin, end):
-        lengths = np.zeros(parent.size if by_boundary else 0, np.int64)
+        lengths = zeros(parent.size if by_boundary else 0, np.int64)
         for k in range(small.size * task // BAND, small.size * (task + 1) // BAND):
             graph = parent, following, starts, neighbors, boundary
             target[k] = _best_neighbor(small[k], means, *graph, lengths, by_boundary)
 
 
-@jit
+@helper
 def _best_neighbor(region, means, parent, following, starts, neighbors, boundary, lengths, by_boundary):
     # Return the neighbor with the most similar mean color or, ``by_boundary``, the neighbor of the same color with the
     # longest common boundary; the first of equal ones, -1 if there is none. ``lengths`` are zeros before and after.
@@ -296,7 +296,7 @@ def _join_targets(small, target, sizes, sums, means, parent, following, last, mi
     for k in range(small.size):
         if target[k] < 0:
             continue
-        first, other = root(parent, small[k]), root(parent, target[k])
+        first, other = root(parent, np.int32(small[k])), root(parent, target[k])
         if first != other:
             first, other = min(first, other), max(first, other)
             parent[other] = first
@@ -337,7 +337,7 @@ def region_adjacency(labels, count):
     """
     # Branches would often be mispredicted: every pair is written, and counted only if it remains.
     height, width = labels.shape
-    pairs = np.empty((2 * labels.size + 1, 2), np.int32)
+    pairs = empty((2 * labels.size + 1, 2), np.int32)
     n_pairs = 0
     for y in range(height):
         row, below = labels[y], labels[min(y + 1, height - 1)]
@@ -345,13 +345,13 @@ def region_adjacency(labels, count):
             for other in (row[min(x + 1, width - 1)], below[x]):
                 pairs[n_pairs, 0], pairs[n_pairs, 1] = row[x], other
                 n_pairs += row[x] != other
-    starts = np.zeros(count + 1, np.int64)
+    starts = zeros(count + 1, np.int64)
     for k in range(n_pairs):
         starts[pairs[k, 0] + 1] += 1
         starts[pairs[k, 1] + 1] += 1
     for s in range(count):
         starts[s + 1] += starts[s]
-    neighbors = np.empty(starts[count], np.int32)
+    neighbors = empty(starts[count], np.int32)
     free = starts[:count].copy()
     for k in range(n_pairs):
         s, t = pairs[k]
@@ -359,7 +359,7 @@ def region_adjacency(labels, count):
         free[s] += 1
         free[t] += 1
     # Remove repetitions from each bucket in place.
-    place, boundary = np.full(count, -1, np.int64), np.zeros(neighbors.size, np.int64)
+    place, boundary = np.full(count, -1, np.int64), zeros(neighbors.size, np.int64)
     end = 0
     for s in range(count):
         first, last = starts[s], starts[s + 1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 
 _BAND = 24  # rows that a task visits in order; any number is valid, this one keeps all cores busy
 
@@ -69,7 +69,7 @@ _DY = np.array([0, 1, 1, 1, 0, -1, -1, -1])
 _DX = np.array([1, -1, 0, 1, -1, 1, 0, -1])
 
 
-@jit
+@helper
 def _rank(y, height):
     # Return the turn in which a row is visited. Rows of different bands may share a turn, but neighbors do not.
     row = y % _BAND
@@ -80,8 +80,8 @@ def _rank(y, height):
 def _order(nodes, count):
     # Return the share of a node's cost for each of its trees, (N,), and bits of the neighbors visited before it, (N,).
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
-    share = np.empty(count, np.float32)
-    earlier = np.zeros(count, np.uint8)
+    share = empty(count, np.float32)
+    earlier = zeros(count, np.uint8)
     for y in range(height):
         for x in range(width):
             n = nodes[y + 1, x + 1]
@@ -101,7 +101,7 @@ def _order(nodes, count):
     return share, earlier
 
 
-@jit
+@helper
 def _visit(
     y, x, n, send_to_earlier, nodes, values, unary, weights, truncation, choices, share, earlier, messages, belief
 ):
@@ -151,7 +151,7 @@ def _pass(begin, end, nodes, values, unary, weights, truncation, choices, share,
     # A forward (0) or backward (1) pass over the rows that are visited ``last`` (1), or over all others (0).
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
     for band in range(begin, end):
-        belief = np.empty(2 * values.shape[1], np.float32)
+        belief = empty(2 * values.shape[1], np.float32)
         start, stop = band * _BAND, min(band * _BAND + _BAND, height)
         for i in range(stop - start):
             y = stop - 1 - i if backward else start + i

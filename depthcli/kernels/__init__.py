@@ -4,9 +4,11 @@ To write a kernel:
 
 1. Decorate a module-level function with :func:`~depthcli.kernels.jit.jit`, in the file of the method that calls it. A
    kernel for all threads takes a band of rows, ``kernel(begin, end, ...)``, and is called by
-   :func:`~depthcli.kernels.jit.run_bands`. Its output for a row must not depend on the band.
-2. A kernel reads and writes plain arrays and numbers. It cannot call ``np.dot`` and ``np.linalg``. Assign arrays to
-   slices in a loop: for ``a[:] = b`` numba compiles the text of an error message, which takes seconds.
+   :func:`~depthcli.kernels.jit.run_bands`. Its output for a row must not depend on the band. A function that only
+   kernels call is a :func:`~depthcli.kernels.jit.helper`.
+2. A kernel reads and writes plain arrays and numbers. It cannot call ``np.dot`` and ``np.linalg``. Users wait for the
+   compiler: give an argument the same type everywhere, and create arrays by ``empty`` and ``zeros`` of ``jit``. Assign
+   arrays to slices in a loop: for ``a[:] = b`` numba compiles the text of an error message, which takes seconds.
 3. Globals are compiled in as constants. Define them in a file that has kernels itself, so that a change compiles the
    kernels again.
 4. NaN and inf keep their meaning in spite of fast math: NaN is "no value" in every map.
@@ -15,7 +17,7 @@ To write a kernel:
 
 | module | contents |
 |---|---|
-| ``jit`` | the decorator, with the compiler options; bands of rows on threads; the time of compilation |
+| ``jit`` | the decorators, with the compiler options; new arrays; bands of rows on threads; the time of compilation |
 | ``cache`` | compiled kernels on disk |
 | ``winners`` | disparities of the smallest costs of both views |
 | ``color_steps`` | color differences between neighbors |

@@ -1,9 +1,8 @@
-"""Compiled kernels on disk: numba's cache, in a folder named by a digest of everything that determines machine code.
+"""Where compiled kernels are kept: a folder named by a digest of everything that determines machine code.
 
-numba identifies a kernel by the path and the digest of its own source file. A moved package would not find its kernels,
-and after a change in a helper of another file a kernel would still run the old code. Here, the digest covers all source
-files with kernels, the versions of numba and LLVM, the compiler's settings and the processor. In the folder, a kernel
-is identified by its module.
+numba's own cache identifies a kernel by the path and the digest of its source file. A moved package would not find its
+kernels, and after a change in a helper of another file a kernel would still run the old code. Here, the digest covers
+all source files with kernels, the versions of numba and LLVM, the compiler's settings and the processor.
 """
 
 from __future__ import annotations
@@ -12,14 +11,12 @@ import contextlib
 import hashlib
 import logging
 import os
-import pickle
 import re
 import shutil
 import stat
 import sys
 import tempfile
 import time
-import zlib
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -33,12 +30,9 @@ os.environ.setdefault("NUMBA_OPT", "2")
 import llvmlite
 import llvmlite.binding
 import numba
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
-from numba.core.runtime.nrt import rtsys
-from numba.core.serialize import dumps
 
 _PACKAGE = Path(__file__).parents[1]
-_HAS_KERNELS = re.compile(rb"^(@jit|@intrinsic|@overload)\b", re.M)
+_HAS_KERNELS = re.compile(rb"^(@jit|@helper|@intrinsic)\b", re.M)
 _MAX_AGE_DAYS = 30  # a month on another branch does not discard kernels
 _DAY = 86400
 
@@ -95,7 +89,8 @@ def digest_of_kernels(folder: Path, files: str) -> str:
     """Return the digest of everything that determines the machine code of kernels: sources, versions, settings."""
     config: Any = numba.config
     settings = (config.BOUNDSCHECK, config.OPT, config.USING_SVML, config.CPU_NAME, config.CPU_FEATURES)
-    facts = (numba.__version__, llvmlite.__version__, llvmlite.binding.get_host_cpu_name(), settings)
+    processor = llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features().flatten()
+    facts = (sys.version, numba.__version__, llvmlite.__version__, processor, settings)
     digest = hashlib.sha256(repr(facts).encode())
     for file in sorted(folder.glob(files)):
         source = file.read_bytes()
@@ -119,77 +114,15 @@ def _kernel_folder(folder: Path) -> Path:
     return own
 
 
-class _Locator(_CacheLocator):
-    """The folder of one kernel's files, and the stamp for the check whether they are current."""
+def kernel_files(function: Any) -> tuple[Path, str] | None:
+    """Return the folder of the compiled versions of a kernel, and the beginning of their files' names.
 
-    def __init__(self, folder: Path, file: Path, line: int) -> None:
-        self._folder, self._line = folder, line
-        # A plug-in's kernels are current as long as all kernels in its folder are.
-        self._stamp = "" if file.is_relative_to(_PACKAGE) else digest_of_kernels(file.parent, "*.py")
-
-    def get_cache_path(self) -> str:
-        return str(self._folder)
-
-    def get_source_stamp(self) -> str:
-        return self._stamp
-
-    def get_disambiguator(self) -> str:
-        return str(self._line)
-
-    @classmethod
-    def from_function(cls, py_func: Any, py_file: str) -> _Locator | None:
-        folder = cache_folder()
-        if folder is None:
-            return None
-        return cls(_kernel_folder(folder) / py_func.__module__, Path(py_file), py_func.__code__.co_firstlineno)
-
-
-class _Files(CompileResultCacheImpl):
-    """numba's files, with a checksum of the machine code: damaged code must not run."""
-
-    _locator_classes: list[Any] = [_Locator]  # noqa: RUF012
-
-    def reduce(self, cres: Any) -> Any:
-        """Return a compiled kernel as checksum and bytes, for writing."""
-        content = dumps(super().reduce(cres))
-        return zlib.crc32(content), content
-
-    def rebuild(self, target_context: Any, reduced_data: Any) -> Any:
-        """Return the compiled kernel from the output of :meth:`reduce`."""
-        checksum, content = reduced_data
-        if zlib.crc32(content) != checksum:
-            raise ValueError("wrong checksum")
-        return super().rebuild(target_context, pickle.loads(content))
-
-
-class KernelCache(FunctionCache):
-    """Compiled versions of one kernel on disk. Damaged or missing files never make a computation fail."""
-
-    _impl_class = _Files
-
-    def __init__(self, function: Any, compiler: Any) -> None:
-        super().__init__(function)
-        self._compiler = compiler
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the kernel compiled for the types ``sig``; None if there is none."""
-        try:
-            # numba's load_overload would first set up the compiler, which takes 0.2 s. Compiled code needs only the
-            # runtime system.
-            rtsys.initialize(target_context)
-            with self._guard_against_spurious_io_errors():
-                return self._load_overload(sig, target_context)
-        except Exception:  # damage can show anywhere in unpickling and linking
-            warn_once(f"{cache_folder()}: compiled kernels there are damaged; they are compiled again")
-            with contextlib.suppress(OSError):
-                self.flush()
+    None if they cannot be kept: no folder can be written, or the kernel was made inside another function.
+    """
+    folder, code = cache_folder(), function.__code__
+    if folder is None or function.__closure__:
         return None
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Write the compiled kernel to the folder; if that fails, warn once."""
-        try:
-            super().save_overload(sig, self._compiler.compiled)
-        except Exception as error:
-            reason = getattr(error, "strerror", None) or error
-            folder = cache_folder()
-            warn_once(f"{folder}: compiled kernels cannot be kept there ({reason}); each process compiles its own")
+    source = Path(code.co_filename)
+    # A plug-in's kernels are current as long as all kernels in its folder are.
+    stamp = "" if source.is_relative_to(_PACKAGE) else f"-{digest_of_kernels(source.parent, '*.py')[:20]}"
+    return _kernel_folder(folder) / function.__module__, f"{function.__name__}-{code.co_firstlineno}{stamp}"

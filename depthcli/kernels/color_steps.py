@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, jit, run_bands
 
 BEFORE: NDArray[np.int64] = np.array([(0, 1), (1, 0)])
 """Offsets to the left pixel and to the pixel above."""
@@ -26,7 +26,7 @@ def color_steps(image: NDArray[np.uint8], back: NDArray[np.int64], largest: bool
 def _differences(begin, end, image, back, largest, steps):
     n_steps, _, width = steps.shape
     for y in range(begin, end):
-        rows = np.empty((2, 3, width), np.int16)  # planes, since loops over interleaved channels are not vectorized
+        rows = empty((2, 3, width), np.int16)  # planes, since loops over interleaved channels are not vectorized
         for dy in range(min(2, y + 1)):
             for c in range(3):
                 for x in range(width):

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from depthcli.kernels.jit import intrinsic, jit, types
+from depthcli.kernels.jit import helper, intrinsic, jit, types
 
 
 def _bits_as(source: Any, target: Any) -> Any:
@@ -43,7 +43,7 @@ def exp_minus(x):
     return p * bits_float(np.int32((whole + np.int32(127)) << np.int32(23)))
 
 
-@jit
+@helper
 def exp2_minus(z):
     """Return 2 ** -z of a float32 z >= 0, relative error 2e-7; z above 125 counts as 125.
 
@@ -98,7 +98,7 @@ def attainable_likelihood(distance):
     return exp_minus(np.float32(8.0) * distance * distance)
 
 
-@jit
+@helper
 def peak_ratio(lowest, second, eps):
     """Return the ratio of a curve's ``second`` cost to its ``lowest`` cost; ``eps`` > 0 avoids a division by 0.
 

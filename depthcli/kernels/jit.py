@@ -5,17 +5,23 @@ numba reads its settings once, at its import; :mod:`depthcli.kernels.cache` sets
 
 from __future__ import annotations
 
-import importlib
+import contextlib
+import gc
+import hashlib
 import os
+import pickle
 import sys
 import threading
 import time
+import zlib
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
+from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TypeVar, cast
 
-from depthcli.kernels.cache import KernelCache, cache_folder  # before numba: it sets numba's options
+from depthcli.kernels.cache import cache_folder, kernel_files, warn_once  # before numba: it sets numba's options
 
 import numba  # isort: skip
 import numba.core.event
@@ -24,30 +30,27 @@ from numba import float32, int32, types
 from numba.core import cgutils
 from numba.core.codegen import JITCPUCodegen
 from numba.core.compiler import CompileResult
-from numba.extending import models, overload, register_model
+from numba.core.runtime.nrt import rtsys
+from numba.core.serialize import dumps
+from numba.extending import lower_builtin, models, register_model, type_callable
 
 __all__ = [
-    "CompileWatch", "cache_folder", "cgutils", "compile_seconds", "float32", "int32", "intrinsic", "jit", "models",
-    "n_threads", "overload", "register_model", "run_bands", "set_threads", "types",
+    "CompileWatch", "cache_folder", "cgutils", "compile_seconds", "empty", "float32", "helper", "int32", "intrinsic",
+    "jit", "lower_builtin", "models", "n_threads", "register_model", "run_bands", "set_threads", "type_callable",
+    "types", "zeros",
 ]  # fmt: skip
 
 
-def _load_without_scipy() -> None:
-    """Load numba's array functions without scipy.linalg, whose import takes longer than numba's.
+if "scipy.linalg" not in sys.modules:
+    # Its import takes longer than numba's. numba's array functions need it for matrix products only, which kernels
+    # therefore cannot call.
+    sys.modules["scipy.linalg"] = None  # type: ignore[assignment]
+    import numba.np.arraymath
 
-    numba needs it for matrix products only, so kernels cannot call ``np.dot`` or ``np.linalg``.
-    """
-    name = "scipy.linalg"
-    if name in sys.modules or "numba.np.arraymath" in sys.modules:
-        return
-    sys.modules[name] = None  # type: ignore[assignment]
-    try:
-        importlib.import_module("numba.np.arraymath")
-    finally:
-        del sys.modules[name]
+    del sys.modules["scipy.linalg"]
 
+from numba.np.arrayobj import _empty_nd_impl
 
-_load_without_scipy()
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 # Without nnan/ninf: NaN means "no value" in our maps and must survive.
@@ -56,41 +59,130 @@ _OPTIONS: dict[str, Any] = {"no_cfunc_wrapper": True, "nogil": True, "error_mode
 
 
 def jit(function: _F) -> _F:
-    """Return ``function`` as a kernel, which is compiled and cached for each combination of argument types."""
-    kernel: Any = numba.njit(**_OPTIONS)(function)
-    kernel._compiler = compiler = _Compiler(kernel._compiler)
-    if cache_folder() is not None:
-        kernel._cache = KernelCache(function, compiler)
+    """Return ``function`` as a kernel, which is compiled and kept on disk for each combination of argument types."""
+    return _compiled(function)
+
+
+def helper(function: _F) -> _F:
+    """Return ``function`` as a part of kernels: compiled sooner, since Python cannot call it."""
+    made: Any = _compiled(function, no_cpython_wrapper=True)
+    made.__class__ = _Helper  # a call would crash
+    return cast(_F, made)
+
+
+def _compiled(function: _F, **options: Any) -> _F:
+    kernel: Any = numba.njit(**_OPTIONS, **options)(function)
+    _Compiled(kernel, kernel_files(function))
     return cast(_F, kernel)
 
 
-class _Compiler:
-    """Compiles a kernel and loads the result in the same way as from disk.
+class _Helper(type(numba.njit(lambda: None))):  # type: ignore[misc]
+    def __call__(self, *arguments: Any) -> Any:
+        raise TypeError(f"{self.__name__} is a part of kernels, which Python cannot call")
 
-    A kernel has its own copies of the functions that it calls, optimized with it. numba would link them to the first
-    copy in the compiling process, optimized with other code, and sums of floats would differ in their last digits.
+
+class _Compiled:
+    """The compiled versions of a kernel, in memory and on disk.
+
+    A kernel just compiled is loaded in the same way as from disk: with its own copies of the functions that it calls,
+    optimized with it. numba would link them to the first copy in the compiling process, optimized with other code, and
+    sums of floats would differ in their last digits. numba's own cache does not do that, takes .2 s to set up, and
+    fails at a full disk or at damaged files, which here never make a computation fail.
     """
 
-    def __init__(self, compiler: Any) -> None:
-        self._compiler = compiler
-        self.compiled: Any = None
+    def __init__(self, kernel: Any, files: tuple[Path, str] | None) -> None:
+        self._files = files
+        # numba calls the second for a new combination of types, unless the first returns a compiled version.
+        compiler = kernel._compiler
+        kernel._cache.load_overload, compiler.compile = self.load, partial(self.compile, compiler.compile)
+        compiler.fold_argument_types = partial(self.general_types, compiler.fold_argument_types)
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._compiler, name)
+    def _file(self, arguments: Any) -> Path:
+        folder, name = self._files or (Path(), "")
+        return folder / f"{name}-{hashlib.sha256(repr(tuple(arguments)).encode()).hexdigest()[:20]}.kernel"
 
-    def compile(self, arguments: Any, return_type: Any) -> Any:
-        """Return the result of ``numba.core.dispatcher._FunctionCompiler.compile``."""
-        self.compiled = self._compiler.compile(arguments, return_type)
-        target = self.compiled.target_context
-        own = target.subtarget(_internal_codegen=JITCPUCodegen("depthcli"))
-        loaded = CompileResult._rebuild(own, *self.compiled._reduce())
+    @staticmethod
+    def general_types(fold: Callable[..., Any], arguments: Any, named: Any) -> Any:
+        """Return the types of arguments, that of a constant as of any number: one version serves all constants."""
+        signature, arguments = fold(arguments, named)
+        return signature, tuple(map(types.unliteral, arguments))
+
+    def load(self, signature: Any, target: Any) -> Any:
+        """Return the version for these types of arguments; None if there is none on disk."""
+        if self._files is None:
+            return None
+        try:
+            content = self._file(getattr(signature, "args", signature)).read_bytes()
+        except OSError:
+            return None
+        try:
+            if zlib.crc32(content[4:]) != int.from_bytes(content[:4], "little"):  # damaged code must not run
+                raise ValueError("wrong checksum")
+            rtsys.initialize(target)
+            return CompileResult._rebuild(target, *pickle.loads(content[4:]))
+        except Exception:  # damage can show anywhere in unpickling and linking
+            warn_once(f"{cache_folder()}: compiled kernels there are damaged; they are compiled again")
+            return None
+
+    def compile(self, compile_types: Callable[..., Any], arguments: Any, return_type: Any) -> Any:
+        """Compile a version for these types of arguments, write it, and return it."""
+        collects = gc.isenabled()
+        gc.disable()  # there is little to collect, and looking for it takes 3 % of the time of compiling
+        try:
+            compiled = compile_types(arguments, return_type)
+        finally:
+            if collects:
+                gc.enable()
+        parts, target = compiled._reduce(), compiled.target_context
+        if self._files is not None and not compiled.library.has_dynamic_globals:  # addresses in this process
+            self._write(self._file(arguments), dumps(parts))
+        loaded = CompileResult._rebuild(target.subtarget(_internal_codegen=JITCPUCodegen("depthcli")), *parts)
         target.insert_user_function(loaded.entry_point, loaded.fndesc, [loaded.library])
         return loaded
+
+    @staticmethod
+    def _write(file: Path, content: bytes) -> None:
+        new = file.with_suffix(f".{os.getpid()}")
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            new.write_bytes(zlib.crc32(content).to_bytes(4, "little") + content)
+            new.replace(file)
+        except OSError as error:
+            folder, reason = cache_folder(), error.strerror or error
+            warn_once(f"{folder}: compiled kernels cannot be kept there ({reason}); each process compiles its own")
+            with contextlib.suppress(OSError):
+                new.unlink()
 
 
 def intrinsic(function: Callable[..., Any]) -> Any:
     """Return an operation for kernels; ``function`` emits its LLVM code (see numba's manual)."""
     return numba.extending.intrinsic(function)
+
+
+def _allocation(are_zeros: bool) -> Any:
+    # numba's np.empty and np.zeros would be compiled for each combination of types: a tenth of all compiling.
+    def define(typingctx, shape, dtype):
+        is_tuple = isinstance(shape, types.BaseTuple)
+        sizes = list(shape) if is_tuple else [shape]
+        kind = types.Array(dtype.dtype, len(sizes), "C")
+
+        def codegen(context, builder, signature, args):
+            values = cgutils.unpack_tuple(builder, args[0]) if is_tuple else [args[0]]
+            extents = [context.cast(builder, *each, types.intp) for each in zip(values, sizes, strict=True)]
+            made = _empty_nd_impl(context, builder, kind, extents)
+            if are_zeros:
+                cgutils.memset(builder, made.data, builder.mul(made.itemsize, made.nitems), 0)
+            return made._getvalue()
+
+        return kind(shape, dtype), codegen
+
+    return intrinsic(define)
+
+
+empty = _allocation(False)
+"""``np.empty(shape, dtype)`` in kernels."""
+zeros = _allocation(True)
+"""``np.zeros(shape, dtype)`` in kernels."""
 
 
 def n_threads() -> int:

@@ -21,7 +21,7 @@ import llvmlite.binding as llvm
 import numpy as np
 from llvmlite import ir
 
-from depthcli.kernels.jit import cgutils, intrinsic, jit, models, overload, register_model, types
+from depthcli.kernels.jit import cgutils, helper, intrinsic, lower_builtin, models, register_model, type_callable, types
 
 LANES = 16
 """Values in a vector of float32."""
@@ -242,25 +242,28 @@ maximum = _operation(None)(lambda builder, a, b: _chosen(builder, ">", a, b))
 """Return the maximum of two values, lane by lane."""
 
 
-def _operator(symbol: Callable[[Any, Any], Any], of_integers: str, of_floats: str) -> None:
-    def build(builder, a, b):
-        if _has_bytes(a):  # sums are at most 255, differences at least 0
-            return saturated(builder, of_integers, a, b)
-        if _has_integers(a):
-            return getattr(builder, of_integers)(a, b)
-        return getattr(builder, of_floats)(a, b, flags=_FLAGS)
+def _computed(builder: Any, name: str, a: Any, b: Any) -> Any:
+    if _has_bytes(a):  # sums are at most 255, differences at least 0
+        return saturated(builder, name, a, b)
+    if _has_integers(a):
+        return getattr(builder, {"div": "sdiv"}.get(name, name))(a, b)
+    return getattr(builder, f"f{name}")(a, b, flags=_FLAGS)
 
-    operation = _operation(None)(build)
 
-    def compute(a, b):
-        return operation(a, b)
-
-    overload(symbol)(lambda a, b: compute if a == b and isinstance(a, Lanes) else None)
+def _operator(symbol: Callable[[Any, Any], Any], name: str) -> None:
+    type_callable(symbol)(lambda context: lambda a, b: a if a == b and isinstance(a, Lanes) else None)
+    lower_builtin(symbol, Lanes, Lanes)(lambda context, builder, signature, args: _computed(builder, name, *args))
 
 
 for _symbol, _name in ((operator.add, "add"), (operator.iadd, "add"), (operator.sub, "sub"), (operator.mul, "mul")):
-    _operator(_symbol, _name, f"f{_name}")
-_operator(operator.truediv, "sdiv", "fdiv")
+    _operator(_symbol, _name)
+_operator(operator.truediv, "div")
+
+
+@_operation(None)
+def absolute_difference(builder, a, b):
+    """Return ``|a - b|`` of two vectors, lane by lane."""
+    return _chosen(builder, ">", _computed(builder, "sub", a, b), _computed(builder, "sub", b, a))
 
 
 def _reduction(build: Callable[[Any, Any, Any], Any]) -> Any:
@@ -305,7 +308,7 @@ def exp_minus(builder, x):
     return builder.fmul(p, builder.bitcast(builder.shl(builder.add(whole, bias), bits), FLOATS.vector), flags=_FLAGS)
 
 
-@jit
+@helper
 def lane_exp_minus_16(z):
     """Return exp(-16 z) of z >= 0 in every lane, like :func:`depthcli.kernels.exponential.exp_minus_16`."""
     one = splat(np.float32(1))
@@ -315,9 +318,3 @@ def lane_exp_minus_16(z):
     power = power * power
     power = power * power
     return power * power
-
-
-@jit
-def absolute_difference(a, b):
-    """Return ``|a - b|`` of two vectors, lane by lane."""
-    return maximum(a - b, b - a)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import helper, jit, run_bands, zeros
 
 
 def winners(
@@ -29,10 +29,9 @@ def winners(
     """
     left = np.empty(costs.shape[:2], np.uint16)
     right = np.empty(costs.shape[:2], np.uint16)
-    if costs.dtype == np.float32:
-        run_bands(_float_winners, len(costs), costs, left, right, minima)
-    else:
-        run_bands(_integer_winners, len(costs), costs, left, right, minima)
+    refined = np.empty((0, 0), np.float32) if minima is None else minima  # one type: compiled once
+    kernel = _float_winners if costs.dtype == np.float32 else _integer_winners
+    run_bands(kernel, len(costs), costs, left, right, refined)
     return left, right
 
 
@@ -54,15 +53,15 @@ def _integer_winners(begin, end, costs, left, right, minima):
             left[y, x] = np.uint16(best & np.uint32(0xFFFF))
         for x in range(width):
             right[y, x] = np.uint16(best_right[width - 1 - x] & np.uint32(0xFFFF))
-        if minima is not None:
+        if minima.size:
             _integer_minima(costs[y], left[y], minima[y])
 
 
-@jit
+@helper
 def _integer_minima(costs, left, minima):
     # Write parabola_minimum of a row's winners, in a form that compiles to vector code.
     width, n_disparities = costs.shape
-    around = np.zeros((3, width), np.int32)
+    around = zeros((3, width), np.int32)
     for x in range(width):
         d = np.int64(left[x])
         if 1 <= d < min(n_disparities, x + 1) - 1:
@@ -91,11 +90,11 @@ def _float_winners(begin, end, costs, left, right, minima):
                     best_right[x - d] = cost
                     right[y, x - d] = d
             left[y, x] = winner
-            if minima is not None:
+            if minima.size:
                 minima[y, x] = parabola_minimum(costs[y, x, : min(n_disparities, x + 1)], winner)
 
 
-@jit
+@helper
 def parabola_minimum(costs, d):
     """Return the minimum of the parabola through ``costs[d]`` and its two neighbors; ``d`` if ``d`` is no minimum.
 
@@ -109,7 +108,7 @@ def parabola_minimum(costs, d):
     return np.float32(d)
 
 
-@jit
+@helper
 def partner_difference(disparity, x, right):
     """Return ``|d - d_R|`` of a pixel in column ``x``, with ``d_R`` at its match; inf if its match is outside.
 

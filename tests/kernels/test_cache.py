@@ -8,9 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from depthcli.kernels import cache
+from depthcli.kernels.jit import empty, helper, jit, zeros
 
 ROOT = Path(__file__).parents[2]
 
@@ -67,8 +69,8 @@ def test_compiled_once_and_kept_in_the_users_cache(tmp_path: Path):
     kernels, said, timed, folder, messages = use(tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache"))
     assert (kernels, said, timed, messages) == (2, 1, True, "")
     assert Path(folder) == tmp_path / "cache" / "depthcli" / "kernels"
-    assert list(Path(folder).rglob("*.nbi"))
-    assert not list((tmp_path / "source").rglob("*.nbi"))  # the package's own folder may be read-only
+    assert list(Path(folder).rglob("*.kernel"))
+    assert not list((tmp_path / "source").rglob("*.kernel"))  # the package's own folder may be read-only
     assert use(tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache")) == (0, 0, False, folder, "")
 
 
@@ -89,7 +91,7 @@ def test_where_no_folder_can_be_written_kernels_are_compiled_in_memory_and_that_
     kernels, _, _, folder, messages = use(tmp_path, before, HOME=NOWHERE, XDG_CACHE_HOME=NOWHERE, **{variable: NOWHERE})
     assert (kernels, folder) == (2, "None")
     assert messages.count("no folder for compiled kernels can be written") == len(messages.splitlines()) == 1
-    assert not list((tmp_path / "source").rglob("*.nb*"))
+    assert not list((tmp_path / "source").rglob("*.kernel"))
 
 
 def flip(data: bytes) -> bytes:
@@ -100,8 +102,8 @@ def flip(data: bytes) -> bytes:
 def test_damaged_files_are_compiled_again_and_that_is_said_once(tmp_path: Path):
     mine = str(tmp_path / "mine")
     use(tmp_path, NUMBA_CACHE_DIR=mine)
-    for kind, *damages in (("nbc", lambda data: b"", flip), ("nbi", *[lambda data: data[:-9]] * 2)):
-        for file, damage in zip(sorted((tmp_path / "mine").rglob(f"*.{kind}")), damages, strict=True):
+    for damages in ((lambda data: b"", flip), (lambda data: data[:-9], lambda data: data[:2])):
+        for file, damage in zip(sorted((tmp_path / "mine").rglob("*.kernel")), damages, strict=True):
             file.write_bytes(damage(file.read_bytes()))
         kernels, _, _, _, messages = use(tmp_path, NUMBA_CACHE_DIR=mine)
         assert kernels == 2
@@ -115,6 +117,7 @@ def test_a_full_disk_only_means_that_nothing_is_kept(tmp_path: Path):
     kernels, _, _, folder, messages = use(tmp_path, full, NUMBA_CACHE_DIR=str(tmp_path / "mine"))
     assert (kernels, folder) == (2, str(tmp_path / "mine"))
     assert messages.count("cannot be kept there") == len(messages.splitlines()) == 1
+    assert not [file for file in (tmp_path / "mine").rglob("*") if file.is_file()]
     assert use(tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "mine"))[0] == 2
 
 
@@ -166,7 +169,9 @@ def test_kernels_read_constants_of_files_with_kernels_alone():
                 inside = f"{node.module}.{alias.name}"
                 origin[alias.asname or alias.name] = inside if inside in files else node.module
         for kernel in ast.walk(tree):
-            if isinstance(kernel, ast.FunctionDef) and any("jit" in ast.dump(each) for each in kernel.decorator_list):
+            if isinstance(kernel, ast.FunctionDef) and any(
+                each in ast.dump(kind) for each in ("jit", "helper") for kind in kernel.decorator_list
+            ):
                 names = {node.id for each in kernel.body for node in ast.walk(each) if isinstance(node, ast.Name)}
                 assert {origin[each] for each in names & origin.keys()} <= hashed, (name, kernel.name)
 
@@ -202,6 +207,26 @@ def test_the_process_that_compiles_gives_the_same_bytes_as_those_that_find_the_k
     ]
     assert [found for _, found in runs] == ["0", "1"]
     assert runs[0][0] == runs[1][0]
+
+
+@helper
+def shared(values, first, size):
+    made = zeros((2, size), values.dtype)
+    made[1, 0] = values[first]
+    return made + empty(size, np.int16).size
+
+
+@jit
+def both_ends(values, size):
+    return shared(values, 0, size), shared(values, -1, np.int64(size)), shared(values, size, 1)
+
+
+def test_a_helper_is_compiled_once_for_all_constants_and_not_called_by_python():
+    first, last, middle = both_ends(np.arange(5, dtype=np.uint8), 3)
+    assert (first.tolist(), last.tolist(), middle.tolist()) == ([[3, 3, 3]] * 2, [[3, 3, 3], [7, 3, 3]], [[1], [4]])
+    assert len(shared.overloads) == 1
+    with pytest.raises(TypeError, match=r"shared .* Python cannot call"):
+        shared(np.arange(5, dtype=np.uint8), 0, 3)
 
 
 def test_kernels_take_numba_from_one_place():

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.dense_crf.permutohedral import BAND, Lattice, blur
 from depthcli.core import memory
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import helper, jit, run_bands, zeros
 from depthcli.kernels.lanes import LANES, exp_minus, lane_min, lane_sum, load, minimum, splat, store
 
 _TILE = 16  # points that are processed together: their labels stay in the first-level cache
@@ -119,7 +119,7 @@ def _update(
         if send:
             _clear(partial, bands, b, width)
         # Windows read beyond the last row by their length.
-        message = np.zeros(_TILE * stride + 4 * lead + LANES, np.float32)
+        message = zeros(_TILE * stride + 4 * lead + LANES, np.float32)
         once, twice = np.zeros_like(message), np.zeros_like(message)
         total = np.ones(_TILE, np.float32)
         stop = min(count, (b + 1) * BAND)
@@ -136,7 +136,7 @@ def _update(
                 _spread(once, stride, total, slots, weights, corners, first, size, width, partial)
 
 
-@jit
+@helper
 def _clear(partial, bands, b, width):
     zero = splat(np.float32(0.0))
     for k in range(0, bands.shape[1], 2):
@@ -144,7 +144,7 @@ def _clear(partial, bands, b, width):
             store(partial, i, zero)
 
 
-@jit
+@helper
 def _spread(tile, stride, total, slots, weights, corners, first, size, width, partial):
     # Add the marginals of points, the rows of a tile divided by their ``total``, to their slots.
     for p in range(size):
@@ -166,7 +166,7 @@ def _spread(tile, stride, total, slots, weights, corners, first, size, width, pa
                 store(partial, to, load(partial, to) + splat(factor * weights[c]) * value)
 
 
-@jit
+@helper
 def _read(near, width, slots, vertex, weights, corners, own, q, first, size, message, lead, stride):
     # Write the messages of points to the rows of a tile: values of their vertices without the points' own share.
     for p in range(size):
@@ -192,7 +192,7 @@ def _read(near, width, slots, vertex, weights, corners, own, q, first, size, mes
             store(message, to + k, value)
 
 
-@jit
+@helper
 def _window(source, length, target):
     # target[i] = source[i] + ... + source[i + length - 1]. The window doubles for every further binary digit of its
     # length, and grows by one if the digit is 1: more additions than a running sum, but on 16 labels at a time.
@@ -214,7 +214,7 @@ def _window(source, length, target):
             width = 2 * width
 
 
-@jit
+@helper
 def _softmax(unary, gain, begin, stride, width, first, size, tile, total, q):
     # tile = exp(smallest energy - energy), with energy = unary - gain, row by row; total = sums of the rows;
     # q = tile / total.

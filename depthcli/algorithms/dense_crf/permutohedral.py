@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 from depthcli.kernels.lanes import LANES, load, splat, store
 
 BAND = 16384  # points per table of vertices: the table fits into the cache
@@ -155,7 +155,7 @@ def _bits(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.int
     return shifts
 
 
-@jit
+@helper
 def _find(table, place, key):
     # Return the position of ``key`` in an open-addressed hash table, or the free cell for it.
     mask = np.uint64(table.size - 1)
@@ -166,7 +166,7 @@ def _find(table, place, key):
     return np.int64(at)
 
 
-@jit
+@helper
 def _steps(shifts):
     # Return the change of a key along every axis, and the additional change when the remainder wraps around.
     d = shifts.shape[0]
@@ -189,14 +189,14 @@ def _embed(begin, end, features, scales, shifts, band, slots, weights, keys, siz
         capacity = 4096
         while capacity < 2 * keys.shape[1]:
             capacity *= 2
-        table = np.empty(capacity, np.uint64)
+        table = empty(capacity, np.uint64)
         place = np.full(capacity, -1, np.int32)
         steps, _ = _steps(shifts)
         # Coordinate by coordinate, so that points are processed in vector lanes.
-        elevated, base = np.zeros((size, _TILE), np.float64), np.zeros((size, _TILE), np.float64)
-        rest, rank = np.zeros((size, _TILE), np.float64), np.zeros((size, _TILE), np.float64)
-        total = np.zeros(_TILE, np.float64)
-        at, inner = np.empty(size, np.int64), np.empty(size, np.float64)
+        elevated, base = zeros((size, _TILE), np.float64), zeros((size, _TILE), np.float64)
+        rest, rank = zeros((size, _TILE), np.float64), zeros((size, _TILE), np.float64)
+        total = zeros(_TILE, np.float64)
+        at, inner = empty(size, np.int64), empty(size, np.float64)
         n_vertices = 0
         stop = min(count, (b + 1) * band)
         for first in range(b * band, stop, _TILE):
@@ -241,7 +241,7 @@ def _embed(begin, end, features, scales, shifts, band, slots, weights, keys, siz
         sizes[b] = n_vertices
 
 
-@jit
+@helper
 def _nearest(elevated, base, rest, rank, off):
     # The vertex with remainder 0 of every point's simplex is ``base`` times d + 1. It is the nearest point whose
     # coordinates are multiples of d + 1; if their sum is not 0, some coordinates are moved by one multiple. ``rest`` is
@@ -280,7 +280,7 @@ def _merge_vertices(keys, sizes, vertex, own, first_slot):
     capacity = 1024
     while capacity < 2 * total:
         capacity *= 2
-    table = np.empty(capacity, np.uint64)
+    table = empty(capacity, np.uint64)
     place = np.full(capacity, -1, np.int32)
     n_vertices = 0
     for b in range(sizes.size):
@@ -357,7 +357,7 @@ def _compute_own_share(begin, end, slots, vertex, weights, neighbors, factors, d
         result[n] = total
 
 
-@jit
+@helper
 def _response(slots, vertex, neighbors, start, stop, turn):
     # Return the response of the blur at one vertex of a simplex to another vertex. The path takes one step along each
     # axis between the two, plus ``turn`` steps along every axis, which cancel.

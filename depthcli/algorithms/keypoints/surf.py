@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.keypoints import Detector, KeyPoints
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands
 
 _LAYERS = 4  # filter sizes of an octave, as in the paper
 
@@ -54,7 +54,7 @@ class Surf(Detector):
         return np.asarray(_located(responses, signs, places, step, sizes[0], sizes[1] - sizes[0]))
 
 
-@jit
+@helper
 def _box(integral, y, x, height, width):
     # Sum of the pixels [y, y + height) x [x, x + width), which are inside. Unsigned indices save the wraparound.
     y0, x0, y1, x1 = np.uint64(y), np.uint64(x), np.uint64(y + height), np.uint64(x + width)
@@ -104,7 +104,7 @@ def _find_peaks(begin, end, responses, threshold, peaks):
 @jit
 def _located(responses, signs, peaks, step, first_size, size_step):
     # Return key points at the (N, 3) peaks, moved to the peak of the parabola through the cells around.
-    points = np.empty((len(peaks), 5), np.float32)
+    points = empty((len(peaks), 5), np.float32)
     count = 0
     for k, j, i in peaks:
         dx, dy, dk = _offset(responses, k, j, i)
@@ -119,7 +119,7 @@ def _located(responses, signs, peaks, step, first_size, size_step):
     return points[:count].copy()
 
 
-@jit
+@helper
 def _is_peak(responses, k, j, i):
     value = responses[k, j, i]
     for dk in range(-1, 2):
@@ -133,7 +133,7 @@ def _is_peak(responses, k, j, i):
     return True
 
 
-@jit
+@helper
 def _offset(r, k, j, i):
     # Return the peak of the second-order Taylor polynomial around a cell, in cells; 9 if there is none.
     gx = 0.5 * (r[k, j, i + 1] - r[k, j, i - 1])
@@ -165,15 +165,15 @@ def _offset(r, k, j, i):
 @jit
 def _describe(begin, end, integral, margin, points, descriptors):
     # Write (N, 64) descriptors, from 24 x 24 Haar responses at the point's scale, in 4 x 4 cells of 9 x 9.
-    inner = np.empty((9, 9), np.float32)
+    inner = empty((9, 9), np.float32)
     for j in range(9):
         for i in range(9):
             inner[j, i] = np.exp(((i - 4) * (i - 4) + (j - 4) * (j - 4)) / -12.5)
     for n in range(begin, end):
         cx, cy, scale = points[n, 0], points[n, 1], points[n, 2]
         half = max(1, int(np.floor(scale + 0.5)))
-        horizontal = np.empty((24, 24), np.float32)
-        vertical = np.empty((24, 24), np.float32)
+        horizontal = empty((24, 24), np.float32)
+        vertical = empty((24, 24), np.float32)
         for j in range(24):
             y = margin + int(np.floor(cy + (j - 11.5) * scale + 0.5))
             for i in range(24):

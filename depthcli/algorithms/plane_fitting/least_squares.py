@@ -7,25 +7,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from depthcli.kernels.jit import jit
+from depthcli.kernels.jit import helper
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation / median absolute deviation of a normal distribution."""
 
 
-@jit
+@helper
 def biweight_root(residual):
     """Return ``max(0, 1 - r^2)``, the root of Tukey's biweight, of a float32 residual in units of its gate."""
     return max(np.float32(0), np.float32(1) - residual * residual)
 
 
-@jit
+@helper
 def huber_weight(residual, limit):
     """Return Huber's weight of a residual: 1 up to ``limit``, ``limit / |r|`` beyond it."""
     return min(1.0, limit / max(abs(residual), 1e-30))
 
 
-@jit
+@helper
 def plane_slopes(xx, xy, yy, xd, yd, determinant):
     """Return the slopes (a, b) of ``d = a x + b y + c`` by Cramer's rule, from second moments about the means.
 
@@ -34,7 +34,7 @@ def plane_slopes(xx, xy, yy, xd, yd, determinant):
     return (xd * yy - yd * xy) / determinant, (yd * xx - xd * xy) / determinant
 
 
-@jit
+@helper
 def plane_moments(x, y, d, weights):
     """Return the sums of w, wx, wy, wd, wxx, wxy, wyy, wxd and wyd over samples, (N,) float64 each."""
     s = sx = sy = sd = sxx = sxy = syy = sxd = syd = 0.0
@@ -53,7 +53,7 @@ def plane_moments(x, y, d, weights):
     return s, sx, sy, sd, sxx, sxy, syy, sxd, syd
 
 
-@jit
+@helper
 def solve_cholesky(matrix, right, terms, solution):
     """Write the ``solution`` of normal equations by Cholesky's method; return False if the system is singular.
 
@@ -86,7 +86,7 @@ def solve_cholesky(matrix, right, terms, solution):
     return True
 
 
-@jit
+@helper
 def smallest(values, k):
     """Return the k-th smallest of ``values``, counted from 0, by Hoare's selection, which reorders them."""
     low, high = 0, values.size - 1

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.plane_fitting import least_squares
 from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA, huber_weight, smallest
 from depthcli.algorithms.regions import RegionPixels
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands
 
 # Values of the published preset refine-kinect dsrm; nothing in the repository varies them.
 _MIN_PLANE_PIXELS, _MIN_QUADRIC_PIXELS = 30, 100  # smallest numbers of known pixels for degrees 1 and 2
@@ -39,7 +39,7 @@ class Surfaces:
         return values
 
 
-@jit
+@helper
 def surface_at(coefficients, center, bounds, unit, s, y, x):
     """Return the value of surface ``s`` at (y, x), given the arrays of :class:`Surfaces`."""
     u = (x - center[s, 1]) / unit
@@ -58,7 +58,10 @@ def _evaluate(begin, end, labels, coefficients, center, bounds, unit, values):
     for y in range(begin, end):
         for x in range(width):
             s = labels[y, x]
-            values[y, x] = surface_at(coefficients, center, bounds, unit, s, y, x) if s >= 0 else np.nan
+            value = np.nan
+            if s >= 0:
+                value = surface_at(coefficients, center, bounds, unit, np.int64(s), float(y), float(x))
+            values[y, x] = value
 
 
 def fit_polynomials(
@@ -113,14 +116,14 @@ def _fit(
             scale[s] = _fit_one(pixels, values, *shape, unit, degree, huber, turns, floor, samples)
 
 
-@jit
+@helper
 def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iterations, floor, samples):
     # Fit ``beta`` (6,), ``center`` (2,) and ``bounds`` (2,) in place; return the scale of the residuals.
     width = values.shape[1]
     total = pixels.size
     n = min(total, samples)
-    z, u, v = np.empty(n), np.empty(n), np.empty(n)
-    residuals, scratch, weights = np.empty(n), np.empty(n), np.empty(n)
+    z, u, v = empty(n, np.float64), empty(n, np.float64), empty(n, np.float64)
+    residuals, scratch, weights = empty(n, np.float64), empty(n, np.float64), empty(n, np.float64)
     low, high, far_u, far_v = np.inf, -np.inf, 0.0, 0.0
     for k in range(n):  # one pixel of each n-th part; in a rectangle, the first of each could form a column
         first, end = k * total // n, (k + 1) * total // n
@@ -146,7 +149,7 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
         terms = 6 if total >= _MIN_QUADRIC_PIXELS and degree == 2 else 3
     beta[terms:] = 0
     extent = (1.0, far_u, far_v, far_u * far_u, far_u * far_v, far_v * far_v)
-    normal, right, new = np.empty((6, 6)), np.empty(6), np.empty(6)
+    normal, right, new = empty((6, 6), np.float64), empty(6, np.float64), empty(6, np.float64)
     spread = np.inf
     for _ in range(iterations):
         _residuals(z, u, v, beta, residuals)
@@ -170,7 +173,7 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
     return np.float32(_spread(residuals, scratch, floor))
 
 
-@jit
+@helper
 def _normal_equations(z, u, v, weights, terms, normal, right):
     # Write the lower half of sum w b b', and sum w b z, for the basis b = (1, u, v, u^2, uv, v^2).
     w0, wu, wv, wz, wuu, wuv, wvv, wuz, wvz = least_squares.plane_moments(u, v, z, weights)
@@ -192,7 +195,7 @@ def _normal_equations(z, u, v, weights, terms, normal, right):
                 normal[i, j] += weighted * basis[j]
 
 
-@jit
+@helper
 def _residuals(z, u, v, beta, out):
     for k in range(out.size):
         out[k] = z[k] - (
@@ -200,7 +203,7 @@ def _residuals(z, u, v, beta, out):
         )
 
 
-@jit
+@helper
 def _spread(residuals, scratch, floor):
     # Return the standard deviation, from the median absolute deviation of evenly spread residuals, at least ``floor``.
     n = residuals.size

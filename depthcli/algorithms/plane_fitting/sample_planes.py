@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
 from depthcli.core.method import ConfigModel
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands
 
 Pixels = tuple[NDArray[np.int32], NDArray[np.int32]]
 """Rows and columns of P pixels, (P,) each."""
@@ -146,9 +146,9 @@ def _fit(
         if count == 0:
             continue
         y, x = at_y[p], at_x[p]
-        dx, dy = np.empty(count, np.float32), np.empty(count, np.float32)
-        m = np.empty(count, np.float32)
-        v, w = np.empty(count, np.float32), np.empty(count, np.float32)
+        dx, dy = empty(count, np.float32), empty(count, np.float32)
+        m = empty(count, np.float32)
+        v, w = empty(count, np.float32), empty(count, np.float32)
         last = nearest[p, count - 1]
         reach = np.float32(max((rows[last] - y) ** 2 + (columns[last] - x) ** 2, 1))
         total = np.float32(0.0)
@@ -168,7 +168,7 @@ def _fit(
         out[p], sigma[p], share[p], mark[p] = _plane(dx, dy, v, w, m, total, noise, steep, start, steps)
 
 
-@jit
+@helper
 def _start(dx, dy, v, w, noise, slope):
     # Return the value of the sample that the largest weight agrees with, and the standard deviation of slopes there.
     best = np.float32(-1.0)
@@ -186,7 +186,7 @@ def _start(dx, dy, v, w, noise, slope):
     return start, slope * start
 
 
-@jit
+@helper
 def _plane(dx, dy, v, w, m, total, noise, steep, start, steps):
     # Return the value at the pixel, its standard deviation, the weighted share of inliers and their mean mark.
     a, b, c = start, np.float32(0.0), np.float32(0.0)
@@ -269,7 +269,7 @@ def _nearest(begin, end, rows, columns, order, first, side, across, down, at_row
             nearest[p, k] = np.int32(best[k] & np.int64(0x7FFFFFFF))
 
 
-@jit
+@helper
 def _insert(best, have, key):
     count = best.size
     if have == count and key >= best[count - 1]:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
+from depthcli.algorithms.plane_fitting.least_squares import plane_slopes, smallest
 from depthcli.algorithms.regions import RegionPixels
 from depthcli.core.method import ConfigModel
-from depthcli.kernels.jit import jit, n_threads, run_bands
+from depthcli.kernels.jit import empty, helper, jit, n_threads, run_bands, zeros
 
 # Chosen by hand; nothing in the repository varies them.
 _SAMPLED_PIXELS = 2000  # in larger segments, the misfit of a RANSAC plane is computed from about this many pixels
@@ -105,11 +105,24 @@ class SegmentPlaneFit(ConfigModel):
 @jit
 def _shares(largest_first, sizes, count):
     # Return the task, 0 .. count - 1, of each segment, (K,): a segment goes to the task with the least work so far.
-    share, work = np.empty(sizes.size, np.int64), np.zeros(count, np.int64)
+    share, work = empty(sizes.size, np.int64), zeros(count, np.int64)
     for k in largest_first:
         share[k] = np.argmin(work)
         work[share[k]] += sizes[k] + _MIN_WORK
     return share
+
+
+@helper
+def _median(values):
+    # As np.median, which takes three times as long to compile.
+    ordered, half = values.copy(), values.size // 2
+    middle = smallest(ordered, half)
+    if values.size % 2 == 1:
+        return middle
+    below = ordered[0]
+    for i in range(half):
+        below = max(below, ordered[i])
+    return (below + middle) / 2
 
 
 @jit
@@ -117,16 +130,16 @@ def _fit(begin, end, values, order, starts, chosen, share, limits, coefficients,
     width = values.shape[1]
     tolerance, trials, max_slope, flatness, seed = limits
     for task in range(begin, end):
-        lanes = np.zeros((4, _LANES))
+        lanes = zeros((4, _LANES), np.float64)
         for k in range(chosen.size):
             if share[k] != task:
                 continue
             pixels = order[starts[chosen[k]] : starts[chosen[k] + 1]]
-            px, py, pd = np.empty(pixels.size), np.empty(pixels.size), np.empty(pixels.size)
+            px, py, pd = empty(pixels.size, np.float64), empty(pixels.size, np.float64), empty(pixels.size, np.float64)
             for i in range(pixels.size):
                 px[i], py[i] = pixels[i] % width, pixels[i] // width
                 pd[i] = values[pixels[i] // width, pixels[i] % width]
-            mx, my, flat = px.mean(), py.mean(), np.median(pd)
+            mx, my, flat = px.mean(), py.mean(), _median(pd)
             for i in range(pixels.size):
                 px[i] -= mx
                 py[i] -= my
@@ -144,7 +157,7 @@ def _fit(begin, end, values, order, starts, chosen, share, limits, coefficients,
             support[k] = n
 
 
-@jit
+@helper
 def _pick(state, count):
     # Return the next state of xorshift64* (without its multiplication) and the index of one of ``count`` pixels.
     state ^= state >> np.uint64(12)
@@ -153,7 +166,7 @@ def _pick(state, count):
     return state, int(state >> np.uint64(11)) % count
 
 
-@jit
+@helper
 def _ransac(px, py, pd, flat, tolerance, trials, max_slope, state, lanes):
     # Return the plane through three pixels with the smallest misfit, or the flat plane.
     count = px.size
@@ -184,7 +197,7 @@ def _ransac(px, py, pd, flat, tolerance, trials, max_slope, state, lanes):
     return a, b, c
 
 
-@jit
+@helper
 def _misfits(px, py, pd, stride, lanes, tolerance, enough):
     # Write _misfit of the planes ``lanes[:3]`` to ``lanes[3]``; stop once all of them exceed ``enough``.
     a, b, c, totals = lanes[0], lanes[1], lanes[2], lanes[3]
@@ -201,7 +214,7 @@ def _misfits(px, py, pd, stride, lanes, tolerance, enough):
             break
 
 
-@jit
+@helper
 def _refit(px, py, pd, a, b, c, tolerance, max_slope):
     # Repeat least squares over the inliers as long as the misfit falls.
     for _ in range(_REFITS):
@@ -232,7 +245,7 @@ def _refit(px, py, pd, a, b, c, tolerance, max_slope):
     return a, b, c
 
 
-@jit
+@helper
 def _inlier_sums(px, py, pd, a, b, c, tolerance):
     # Return the number of inliers, and the sums of their x, y and disparity.
     n, sx, sy, sd = 0, 0.0, 0.0, 0.0
@@ -245,7 +258,7 @@ def _inlier_sums(px, py, pd, a, b, c, tolerance):
     return n, sx, sy, sd
 
 
-@jit
+@helper
 def _misfit(px, py, pd, stride, a, b, c, tolerance):
     # Return the sum of squared distances, each at most tolerance squared (MSAC).
     limit = tolerance * tolerance
@@ -258,7 +271,7 @@ def _misfit(px, py, pd, stride, a, b, c, tolerance):
 
 @jit
 def _distinct(coefficients, center, slope_tolerance, offset_tolerance, max_planes, stands_for):
-    kept = np.empty(coefficients.shape[0], np.int64)
+    kept = empty(coefficients.shape[0], np.int64)
     count = 0
     for k in range(coefficients.shape[0]):
         for j in range(count):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.least_squares import biweight_root, plane_slopes
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands
 
 RADIUS = 4
 """Half side of the windows, pixels."""
@@ -72,7 +72,7 @@ def _fit(begin, end, disparity, trust, affected, first_gate, growth, gate, value
     # Rows are fitted in blocks: all pixels of a block at once, one offset of the window after another.
     width = value.shape[1]
     for y in range(begin, end):
-        sums = np.empty((10, _BLOCK), np.float32)
+        sums = empty((10, _BLOCK), np.float32)
         for left in range(0, width, _BLOCK):
             right = min(left + _BLOCK, width)
             if affected[y, left:right].any():
@@ -82,7 +82,7 @@ def _fit(begin, end, disparity, trust, affected, first_gate, growth, gate, value
                 )  # fmt: skip
 
 
-@jit
+@helper
 def _fit_block(disparity, trust, y, left, width, first_gate, growth, gate, sums, value, slope_x, slope_y, scale):
     one, zero = np.float32(1), np.float32(0)
     s, sx, sy, sd, sxx = sums[0, :width], sums[1, :width], sums[2, :width], sums[3, :width], sums[4, :width]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.kernels.lanes import (
     LANES,
     SHORT_LANES,
@@ -91,8 +91,8 @@ def _fit(begin, end, values, valid, planes, step, limits, spread, result):
     margin = _STEPS * step
     zero, color_limit = splat(np.float32(0)), splat(_COLOR_THRESHOLD)
     for y in range(begin, end):
-        apart = np.empty(side * side * SHORT_LANES, np.float32)
-        weights = np.empty(side * side * SHORT_LANES, np.float32)
+        apart = empty(side * side * SHORT_LANES, np.float32)
+        weights = empty(side * side * SHORT_LANES, np.float32)
         for x in range(0, width, SHORT_LANES):
             center = (y + margin) * row_size + x + margin
             red, green = load_shorts(planes, center), load_shorts(planes, center + plane_size)
@@ -123,7 +123,7 @@ def _fit(begin, end, values, valid, planes, step, limits, spread, result):
                 store(result, at + height * width, slope_y * share)
 
 
-@jit
+@helper
 def color_differences(colors: Any, at: int, plane_size: int, red: Any, green: Any, blue: Any) -> Any:
     """Return the sums of absolute channel differences of two runs of pixels, as two vectors of float32.
 
@@ -137,7 +137,7 @@ def color_differences(colors: Any, at: int, plane_size: int, red: Any, green: An
     )
 
 
-@jit
+@helper
 def _fitted(weights, apart, side, step, shift):
     # Return slopes along the row and the column, and the offset at the center, of the planes through the samples.
     zero = splat(np.float32(0))
@@ -176,13 +176,13 @@ def _fitted(weights, apart, side, step, shift):
     )
 
 
-@jit
+@helper
 def _residual(apart, at, i, j, side, step, slope_x, slope_y, offset):
     dy, dx = splat(np.float32((i - side // 2) * step)), splat(np.float32((j - side // 2) * step))
     return load(apart, at) - offset - slope_x * dx - slope_y * dy
 
 
-@jit
+@helper
 def _reweight(weights, apart, side, step, shift, slope_x, slope_y, offset):
     one, zero = splat(np.float32(1)), splat(np.float32(0))
     for i in range(side):
@@ -192,7 +192,7 @@ def _reweight(weights, apart, side, step, shift, slope_x, slope_y, offset):
             store(weights, at, load(weights, at) * maximum(one - residual * residual, zero))
 
 
-@jit
+@helper
 def _residual_variance(weights, apart, side, step, shift, slope_x, slope_y, offset):
     # Return the weighted mean of the squared residuals.
     one, total, squares = splat(np.float32(1)), splat(np.float32(0)), splat(np.float32(0))

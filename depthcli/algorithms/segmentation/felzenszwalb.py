@@ -9,7 +9,7 @@ from pydantic import Field
 
 from depthcli.algorithms.regions import connected_components_of_labels, consecutive, merge_small_regions, root
 from depthcli.algorithms.segmentation import Segmenter
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import jit, run_bands, zeros
 
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))  # down and right: half of the eight neighbors
 _PER_LEVEL = 128  # resolution of costs
@@ -66,7 +66,7 @@ def _joined(order, costs, width, n_pixels, scale, min_size):
     # Return the regions of the pixels, (N,) int32, joined by edges in the ``order`` of their costs.
     parent = np.arange(n_pixels).astype(np.int32)
     size = np.ones(n_pixels, np.int32)
-    inside = np.zeros(n_pixels, np.float32)  # the most costly edge of each region's tree
+    inside = zeros(n_pixels, np.float32)  # the most costly edge of each region's tree
     unit = np.float32(1 / _PER_LEVEL)
     for round_number in range(2):  # the second round joins small regions, whatever the cost
         for edge in order:

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from depthcli.algorithms.regions import connected_components, joined_regions, merge_small_regions, region_graph
 from depthcli.algorithms.segmentation import Segmenter
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, jit, run_bands
 
 _LANES = 16  # pixels of a window's row in one vector
 _CONVERGED, _MAX_STEPS = 0.01, 100  # a step, in radii of the window
@@ -69,7 +69,7 @@ def _seek(begin, end, planes, spatial_radius, color_radius, modes):
     first_plane, second_plane, third_plane = planes[0].ravel(), planes[1].ravel(), planes[2].ravel()
     limit = np.float32(color_radius * color_radius)
     per_pixel, per_color = 1 / (spatial_radius * spatial_radius), 1 / (color_radius * color_radius)
-    sums = np.empty((5, _LANES), np.float32)
+    sums = empty((5, _LANES), np.float32)
     number, columns, sum_a, sum_b, sum_c = sums[0], sums[1], sums[2], sums[3], sums[4]
     for y in range(begin, end):
         for x in range(width):

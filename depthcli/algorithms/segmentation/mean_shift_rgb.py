@@ -8,7 +8,7 @@ from pydantic import Field
 
 from depthcli.algorithms.regions import connected_components, merge_small_regions
 from depthcli.algorithms.segmentation import Segmenter
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, jit, run_bands
 
 _LANES = 16  # pixels of a window's row in one vector
 _MAX_ITERATIONS, _CONVERGED_SHIFT = 5, 1  # OpenCV's defaults; shift: pixels, plus squared grey levels
@@ -51,7 +51,7 @@ def _shift(begin, end, planes, radius, limit, modes):
     stride = planes.shape[2]
     all_red, all_green, all_blue = planes[0].ravel(), planes[1].ravel(), planes[2].ravel()
     for y in range(begin, end):
-        sums = np.empty((6, _LANES), np.int32)
+        sums = empty((6, _LANES), np.int32)
         number, columns, rows, reds, greens, blues = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
         for x in range(width):
             u, v = x, y

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from depthcli.algorithms.regions import consecutive, root
 from depthcli.algorithms.segmentation import Segmenter
-from depthcli.kernels.jit import jit
+from depthcli.kernels.jit import empty, helper, jit, zeros
 
 _LEVELS = 256  # number of grey levels; g of the paper
 _DEPTH_LEVELS = 4095  # small enough that sums over a large image fit into int32
@@ -89,24 +89,24 @@ def _sorted_pairs(image: NDArray[np.uint8], depth: NDArray[np.int16]) -> NDArray
     return order[sum(image.shape[:2]) :]
 
 
-@jit
+@helper
 def _bound(size, log_pixels, complexity, levels):
     # Return b^2 of the paper for a region of ``size`` pixels with values in ``levels``.
     spread = min(size, _LEVELS) * np.log(1.0 + size) + np.log(6.0) + 2 * log_pixels
     return np.float32(levels * levels * spread / (2 * complexity * size))
 
 
-@jit
+@helper
 def _bounds(log_pixels, complexity, levels):
-    table = np.zeros(_TABLE, np.float32)
+    table = zeros(_TABLE, np.float32)
     for size in range(1, _TABLE):
         table[size] = _bound(size, log_pixels, complexity, levels)
     return table
 
 
-@jit
+@helper
 def _look_up(table, size, log_pixels, complexity, levels):
-    return table[size] if size < _TABLE else _bound(size, log_pixels, complexity, levels)
+    return table[size] if size < _TABLE else _bound(np.int64(size), log_pixels, complexity, levels)
 
 
 @jit
@@ -116,8 +116,8 @@ def _merge(pairs, sums, guided, complexities, guidance, min_size, labels):
     log_pixels = np.log(float(pixels))
     n_left = pairs.size  # pairs that no layer has joined yet
     parent = np.arange(pixels).astype(np.int32)
-    bound = np.empty((pixels, 2), np.float32)
-    depth_table = _bounds(log_pixels, guidance, _DEPTH_LEVELS) if guided else np.empty(0, np.float32)
+    bound = empty((pixels, 2), np.float32)
+    depth_table = _bounds(log_pixels, guidance, _DEPTH_LEVELS) if guided else empty(0, np.float32)
     for layer in range(complexities.size):
         complexity = complexities[layer]
         table = _bounds(log_pixels, complexity, _LEVELS)
@@ -157,12 +157,13 @@ def _merge(pairs, sums, guided, complexities, guidance, min_size, labels):
             bound[i, 0] = _look_up(table, sums[i, _SIZE], log_pixels, complexity, _LEVELS)
             if guided and sums[i, _KNOWN] > 0:
                 bound[i, 1] = _look_up(depth_table, sums[i, _KNOWN], log_pixels, guidance, _DEPTH_LEVELS)
-        labels[layer] = _without_small(parent, sums[:, _SIZE].copy(), pairs[:n_left], width, min_size).reshape(
-            height, width
-        )
+        found = _without_small(parent, sums[:, _SIZE].copy(), pairs[:n_left], width, min_size)
+        for y in range(height):  # numba compiles the assignment of a whole array with a message about its shape
+            for x in range(width):
+                labels[layer, y, x] = found[y * width + x]
 
 
-@jit
+@helper
 def _without_small(parent, size, pairs, width, min_size):
     # Return labels after small regions have joined along the most similar of the remaining ``pairs``.
     parent = parent.copy()

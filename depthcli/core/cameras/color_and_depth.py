@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.cameras.camera import Camera, Intrinsics, Place, check_place, typical_intrinsics
 from depthcli.core.errors import InputError
-from depthcli.kernels.jit import jit
+from depthcli.kernels.jit import helper, jit
 
 # Default of the largest relative difference between two depths on one surface; set by hand.
 _MAX_STEP = 0.03
@@ -216,7 +216,7 @@ def draw_quads(
         _draw_triangle(x[n], y[n], inverse[n], 2 + other, (3 + other) % 4, 0 + other, image)
 
 
-@jit
+@helper
 def _draw_triangle(x, y, inverse, a, b, c, image):
     ux, uy, vx, vy = x[b] - x[a], y[b] - y[a], x[c] - x[a], y[c] - y[a]
     area = ux * vy - vx * uy

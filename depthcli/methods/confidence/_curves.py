@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.kernels.exponential import attainable_likelihood, bits_float, float_bits, likelihood
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.kernels.winners import winners
 
 _LAST = np.int32(0x7FFFFFFF)
@@ -83,14 +83,14 @@ class CostCurves:
         return winners(self.costs)
 
 
-@jit
+@helper
 def _key(value):
     # Return an int32 that sorts like the float: a minimum of integers vectorizes, a minimum of floats does not.
     bits = float_bits(value)
     return np.int32(bits ^ np.int32((bits >> np.int32(31)) & np.int32(0x7FFFFFFF)))
 
 
-@jit
+@helper
 def _value(key):
     return bits_float(np.int32(key ^ np.int32((key >> np.int32(31)) & np.int32(0x7FFFFFFF))))
 
@@ -122,9 +122,9 @@ def _measure_curves(begin, end, costs, valid, rate, planes, winner, second):
     _, columns, n_entries = costs.shape
     padded = (n_entries + 15) // 16 * 16
     for r in range(begin, end):
-        z = np.empty(padded, np.float32)
-        key = np.empty(padded + 2, np.int32)
-        smooth = np.empty(n_entries + 2, np.float32)
+        z = empty(padded, np.float32)
+        key = empty(padded + 2, np.int32)
+        smooth = empty(n_entries + 2, np.float32)
         for i in range(columns):
             n = valid[r, i]
             length = (n + 15) // 16 * 16

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import jit, run_bands, zeros
 from depthcli.kernels.winners import left_right_difference
 from depthcli.methods.confidence._curves import CostCurves, CurveStatistics
 
@@ -154,7 +154,7 @@ def _fill_agreement(begin, end, winner, radius, out):
     height, width = winner.shape
     for y in range(begin, end):
         top, bottom = max(0, y - radius), min(height, y + radius + 1)
-        count = np.zeros(width, np.int32)
+        count = zeros(width, np.int32)
         for q in range(top, bottom):
             for dx in range(-radius, radius + 1):
                 start, stop = max(0, -dx), min(width, width - dx)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from depthcli.core import memory
 from depthcli.kernels.exponential import exp_minus
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, jit, run_bands
 from depthcli.methods.fusion.votes import Ballot
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
@@ -127,8 +127,8 @@ def _squash(begin, end, costs, offset, rate, out):
 def _blend(begin, end, volumes, weights, out):
     _, width, n_disparities = out.shape
     for y in range(begin, end):
-        total = np.empty(n_disparities, np.uint16)
-        fixed = np.empty(len(volumes), np.int32)
+        total = empty(n_disparities, np.uint16)
+        fixed = empty(len(volumes), np.int32)
         for x in range(width):
             largest = 0
             rest = np.int32(256)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.filters import CORRELATED, correlation, local_moments
 from depthcli.core.frames import StereoPair
 from depthcli.kernels.color_steps import BEFORE, color_steps
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.methods.fusion.votes import ColorSupport
 from depthcli.methods.stereo.volume import CostVolume
 
@@ -153,7 +153,7 @@ def hidden_jumps(maps: Map, image: NDArray[np.uint8], out: Map | None = None) ->
     return out
 
 
-@jit
+@helper
 def cost_between(costs, value):
     """Return the cost of a pixel at a disparity between two whole ones."""
     d = min(int(value), costs.size - 1)
@@ -163,7 +163,7 @@ def cost_between(costs, value):
     return cost
 
 
-@jit
+@helper
 def nearest_matches(row):
     """Return the largest disparity that a row's pixels have at each pixel of the right view; -1 if none matches it."""
     nearest = np.full(row.size, np.float32(-1))
@@ -174,7 +174,7 @@ def nearest_matches(row):
     return nearest
 
 
-@jit
+@helper
 def match_in_right(x, value, right, nearest):
     """Return some of ``VIEW_PLANES`` for pixel ``x`` of a map, and the distance to its match's disparity.
 
@@ -196,7 +196,7 @@ def match_in_right(x, value, right, nearest):
     return contradiction, hidden, difference, column, covered, min(abs(nearer), np.float32(8))
 
 
-@jit
+@helper
 def warped_right(x, value, image, other, grey):
     """Return the right view's grey level at the match of pixel ``x``, and the largest channel difference to it.
 
@@ -220,9 +220,13 @@ def _compare(
 ):  # fmt: skip
     count, _, width = maps.shape
     for y in range(begin, end):
-        along = np.empty(width, np.float32)
+        along = empty(width, np.float32)
         for x in range(width):
-            lowest[y, x] = np.float32(costs[y, x].min()) * unit
+            curve = costs[y, x]
+            least = curve[0]
+            for i in range(curve.size):
+                least = min(least, curve[i])
+            lowest[y, x] = np.float32(least) * unit
         for n in range(count):
             row = maps[n, y]
             nearest = nearest_matches(row)
@@ -245,7 +249,7 @@ def _disagree(begin, end, maps, weights, others, out):
     count, _, width = maps.shape
     zero, one, no_agreement = np.float32(0), np.float32(1), np.float32(1.5)
     for y in range(begin, end):
-        agreement = np.empty(width, np.float32)
+        agreement = empty(width, np.float32)
         for k in range(count):
             agreement[:] = 0
             own = maps[k, y]
@@ -279,6 +283,6 @@ def _hidden_jumps(begin, end, maps, same, out):
                 out[k, y, x] = jumps
 
 
-@jit
+@helper
 def _jump(value, other):
     return min(max(abs(value - other) - np.float32(1), np.float32(0)), np.float32(1))

@@ -14,7 +14,7 @@ from depthcli.core.context import Clock
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.method import ConfigModel
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, jit, run_bands
 from depthcli.methods.fusion.choice import Choice, Proposals
 from depthcli.methods.fusion.choice.energy import LeastEnergyChoice
 from depthcli.methods.fusion.map_costs import agreement
@@ -131,7 +131,7 @@ def _complete(begin, end, maps, largest):
     # is the lower one in the middle: a mean would be a value that no map has.
     count, _, width = maps.shape
     for y in range(begin, end):
-        ordered = np.empty(count, np.float32)
+        ordered = empty(count, np.float32)
         for x in range(width):
             for k in range(1, count):
                 value = min(maps[k, y, x], largest) if maps[k, y, x] >= 0 else np.float32(0)

@@ -20,7 +20,7 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.method import ConfigModel, Odd
 from depthcli.kernels.color_steps import BEFORE, color_steps
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, jit, run_bands
 from depthcli.kernels.lanes import LANES, load, splat, store
 from depthcli.methods.stereo.volume import CostVolume
 
@@ -244,7 +244,7 @@ def _recurse_columns(begin, end, block, steps, decay):
     for strip in range(begin, end):
         left = strip * _STRIP
         columns = min(_STRIP, width - left)
-        cells = np.empty(height * _STRIP * LANES, np.float32)
+        cells = empty(height * _STRIP * LANES, np.float32)
         for x in range(columns):
             store(cells, x * LANES, load(block, (left + x) * LANES))
         for y in range(1, height):

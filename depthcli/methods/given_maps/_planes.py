@@ -13,7 +13,7 @@ from depthcli.core import memory
 from depthcli.core.context import Clock, Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, jit, run_bands
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion.map_costs import (
     Views,
@@ -357,7 +357,7 @@ def _relate(begin, end, maps, nearest, middle, farthest, above):
     count, _, width = maps.shape
     far = np.float32(8)
     for y in range(begin, end):
-        ordered = np.empty(count, np.float32)
+        ordered = empty(count, np.float32)
         for x in range(width):
             for n in range(-1, count):  # -1: the values, not distances
                 size = 0

@@ -10,7 +10,7 @@ import numpy as np
 
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.maps import Doubles, Floats, Image8, Ints, Mask
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import helper, jit, run_bands
 
 # Common values for trackers; nothing in the repository varies them.
 _MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE = 400, 0.01, 8  # count, share of the best corner's score, pixels
@@ -111,7 +111,7 @@ def _pixel_motion(motion: Any, camera: Intrinsics) -> tuple[Doubles, Doubles]:
     return camera.matrix @ motion[:3, :3] @ np.linalg.inv(camera.matrix), camera.matrix @ motion[:3, 3]
 
 
-@jit
+@helper
 def _moved(a, b, x, y, inverse):
     # Return the column and row that a pixel of this inverse depth moves to, and the factor of its depth.
     w = a[2, 0] * x + a[2, 1] * y + a[2, 2] + b[2] * inverse

@@ -10,7 +10,7 @@ import numpy as np
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.algorithms.trws import trws
 from depthcli.core.maps import Floats, Image8, Ints, Mask
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.gap_limits import SLOPE_FADE, GapLimits
 
@@ -158,7 +158,7 @@ def cast_votes(
 def _vote(begin, end, pixels, scale, lab, planes, colors, limits, extra, similarity, space, bins, values, shares):
     low, per_pixel, n_bins = bins
     for block in range(begin, end):
-        histogram = _Histogram(np.zeros((n_bins, 2), np.float32), np.empty(2, np.int64), low, per_pixel)
+        histogram = _Histogram(zeros((n_bins, 2), np.float32), empty(2, np.int64), low, per_pixel)
         votes, extent = histogram.votes, histogram.extent
         for n in range(block * 256, min(block * 256 + 256, len(pixels))):
             y, x = pixels[n]
@@ -181,14 +181,14 @@ def _vote(begin, end, pixels, scale, lab, planes, colors, limits, extra, similar
             votes[extent[0] : extent[1] + 1] = np.float32(0)
 
 
-@jit
+@helper
 def _gather(y, x, color, voters, inner, limit, similarity, space, histogram):
     # Add the votes of one level to the histogram, except within ``inner`` pixels, which belong to the finer level.
     planes, colors, (stride, reach) = voters
     largest, factor = limit
     light, a, b = np.int32(color[0]), np.int32(color[1]), np.int32(color[2])
-    top, bottom = _nth_within(y, reach, stride, planes.shape[1])
-    left, right = _nth_within(x, reach, stride, planes.shape[2])
+    top, bottom = _nth_within(np.int64(y), reach, stride, planes.shape[1])
+    left, right = _nth_within(np.int64(x), reach, stride, planes.shape[2])
     per_square = np.float32(1 / (SLOPE_FADE * SLOPE_FADE))
     for v in range(top, bottom):
         dy = y - v * stride
@@ -212,13 +212,13 @@ def _gather(y, x, color, voters, inner, limit, similarity, space, histogram):
             _add_vote(histogram, w, d)
 
 
-@jit
+@helper
 def _nth_within(at, reach, stride, size):
     # Return the range of n for which pixel n x stride is within reach.
     return max((at - reach + stride - 1) // stride, 0), min((at + reach) // stride + 1, size)
 
 
-@jit
+@helper
 def _add_vote(histogram, weight, disparity):
     # Return the added weight: 0 for disparities beyond the ends of the histogram.
     k = np.int32((disparity - histogram.low) * histogram.per_pixel)
@@ -231,7 +231,7 @@ def _add_vote(histogram, weight, disparity):
     return weight
 
 
-@jit
+@helper
 def _modes(histogram, total, values, shares):
     # Remove the modes from a histogram, the strongest first.
     votes, extent = histogram.votes, histogram.extent
@@ -392,7 +392,7 @@ def _costs(begin, end, pixels, found, evidence, planes, costs, candidates, unary
         _drop_expensive(unary[n], candidates[n], count)
 
 
-@jit
+@helper
 def _drop_expensive(unary, candidates, count):
     # Move the cheap candidates to the front, in order; set the cost of the others to infinity.
     cheapest = np.float32(np.inf)

@@ -7,7 +7,7 @@ import numpy as np
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import Image8
-from depthcli.kernels.jit import jit
+from depthcli.kernels.jit import helper
 
 
 def frame_lab(frame: RgbdFrame) -> Image8:
@@ -15,7 +15,7 @@ def frame_lab(frame: RgbdFrame) -> Image8:
     return np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2Lab), np.uint8)
 
 
-@jit
+@helper
 def lab_difference(lab, y, x, v, u):
     """Return the L1 difference of the colors of pixels (y, x) and (v, u), int32."""
     difference = np.int32(0)

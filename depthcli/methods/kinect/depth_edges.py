@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from depthcli.core.maps import Doubles, Floats, Image8, Mask
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import helper, jit, run_bands
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadows
 
@@ -87,7 +87,7 @@ def outline_offsets(lab: Image8, disparity: Floats, jump: float) -> Doubles:
     return np.array(distributions)
 
 
-@jit
+@helper
 def _is_edge(d, last, x, jump):
     return abs(d[x] - d[last]) > max(jump, np.float32(_MAX_SLOPE) * np.float32(abs(x - last)))
 
@@ -141,7 +141,7 @@ def _probability(begin, end, disparity, jump, near, far, gap_probability, widths
         _raise_thin_runs(d, q, jump)
 
 
-@jit
+@helper
 def _lower(d, q, x, step, k, jump, wrong, probability):
     # Lower the probabilities q from x on, at distance k from the edge, to the end of the surface or of ``wrong``, the
     # probability by distance that a measurement is incorrect.
@@ -156,7 +156,7 @@ def _lower(d, q, x, step, k, jump, wrong, probability):
         k += 1
 
 
-@jit
+@helper
 def _raise_thin_runs(d, q, jump):
     # A run nearer than an adjacent run shows an object, however thin, so one of its values is correct.
     start, last = -1, -1

@@ -7,7 +7,7 @@ import numpy as np
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
 from depthcli.core.maps import Floats, Image8, Ints, Mask
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.gap_limits import SLOPE_FADE
 
@@ -80,7 +80,7 @@ def fill_gaps(
     return np.where(source > limit, filled, source), inside
 
 
-@jit
+@helper
 def _exchange(low, high):
     for i in range(low.size):
         p, q = low[i], high[i]
@@ -94,7 +94,7 @@ def _median(begin, end, source, pixels, lab, stride, out):
     # map, is replaced by the pixel's own value.
     height, width = source.shape
     for block in range(begin, end):
-        samples = np.empty((9, _BLOCK), np.float32)
+        samples = empty((9, _BLOCK), np.float32)
         start = block * _BLOCK
         count = min(_BLOCK, len(pixels) - start)
         for i in range(count):
@@ -116,7 +116,7 @@ def _median(begin, end, source, pixels, lab, stride, out):
             out[y, x] = samples[4, i]
 
 
-@jit
+@helper
 def passed(y, x, step, k):
     """Return row and column of the k-th of four neighbors already passed by a raster sweep; ``step`` -1: backwards."""
     return (y, x - step) if k == 0 else (y - step, x + k - 2)
@@ -134,7 +134,7 @@ def _join(pixels, lab, segments, limit, values, start, total):
                 if not (0 <= v < height and 0 <= u < width) or start[v, u] < 0:
                     continue
                 path = total[v, u] + np.float32(1 if k == 0 or k == 2 else 1.4)
-                path += np.float32(_COLOR_COST) * np.float32(lab_difference(lab, y, x, v, u))
+                path += np.float32(_COLOR_COST) * np.float32(lab_difference(lab, np.int64(y), np.int64(x), v, u))
                 for layer in range(len(segments)):
                     if segments[layer, v, u] != segments[layer, y, x]:
                         path += np.float32(_BORDER_COST)

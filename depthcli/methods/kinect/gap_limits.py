@@ -8,7 +8,7 @@ import numpy as np
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.core.maps import Floats, Image8
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import helper, jit, run_bands
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadow, Shadows, gaps_of
 
@@ -43,7 +43,7 @@ class _Sizes(NamedTuple):
         return cls(np.float32(shadow.scale), np.float32(shadow.covered), np.float32(jump))
 
 
-@jit
+@helper
 def _is_shadow(gap, step, sizes):
     # Return whether a gap is as wide as the shadow of its step.
     return step > sizes.jump and abs(gap + sizes.covered - sizes.scale * step) <= np.float32(WIDTH_TOLERANCE)
@@ -59,14 +59,15 @@ def shadow_limits(
         given = [np.ascontiguousarray(m[turn]) for m in (lab, disparity, planes.value, step * planes.slope_x)]
         hidden = shadow.confidence * (1 - shadows.p_hole)
         factors = np.array([SHADOW_FACTOR**shadow.confidence, GAP_FACTOR**hidden, HOLE_FACTOR**hidden], np.float32)
+        found = [np.ascontiguousarray(m[turn]) for m in limits]
         run_bands(
-            _limits, len(disparity), limits.value[turn], limits.factor[turn], holes, factors,
-            _Sizes.of(shadow, jump), np.float32(tolerance), *given,
-        )  # fmt: skip
+            _limits, len(disparity), *found, holes, factors, _Sizes.of(shadow, jump), np.float32(tolerance), *given
+        )
+        limits.value[turn], limits.factor[turn] = found
     return limits
 
 
-@jit
+@helper
 def _rim_contrast(lab, d, y, u, left, right):
     # Return the smallest color difference between pixel u and the known ones of the first 8 pixels beyond each rim.
     smallest = np.int32(1000)
@@ -112,10 +113,9 @@ def max_disparity_in_gaps(disparity: Floats, jump: float, shadows: Shadows, tole
     limit = np.full(disparity.shape, np.inf, np.float32)
     for shadow, step, _ in shadows.sides():
         turned, behind = np.ascontiguousarray(disparity[:, ::step]), shadows.p_hole < 0.5
-        run_bands(
-            _max_in_gaps, len(turned), limit[:, ::step], turned, behind, _Sizes.of(shadow, jump),
-            np.float32(tolerance),
-        )  # fmt: skip
+        found = np.ascontiguousarray(limit[:, ::step])
+        run_bands(_max_in_gaps, len(turned), found, turned, behind, _Sizes.of(shadow, jump), np.float32(tolerance))
+        limit[:, ::step] = found
     return limit
 
 
@@ -144,10 +144,9 @@ def shadow_background(disparity: Floats, planes: WindowPlanes, jump: float, shad
         turn = np.s_[:, ::step]
         given = [np.ascontiguousarray(m[turn]) for m in (disparity, planes.value, step * planes.slope_x)]
         low, high = (np.float32(shadow.confidence * share) for share in (_MIN_EXTRA_SHARE, _MAX_EXTRA_SHARE))
-        run_bands(
-            _background, len(disparity), background[turn], extra_share[turn], _Sizes.of(shadow, jump), low, high,
-            *given,
-        )  # fmt: skip
+        found = [np.ascontiguousarray(m[turn]) for m in (background, extra_share)]
+        run_bands(_background, len(disparity), *found, _Sizes.of(shadow, jump), low, high, *given)
+        background[turn], extra_share[turn] = found
     return background, extra_share
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import heapq
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -16,7 +15,7 @@ from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus, Floats, Image8, Ints, Mask
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import DepthResult
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 from depthcli.methods.kinect.disparity import Measurement
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
 
@@ -114,7 +113,7 @@ class RefinedDisparity:
         return DepthResult(depth=DepthMap(depth, status))
 
 
-@jit
+@helper
 def _insert(sorted_values, count, value):
     i = count
     while i > 0 and sorted_values[i - 1] > value:
@@ -123,7 +122,7 @@ def _insert(sorted_values, count, value):
     sorted_values[i] = value
 
 
-@jit
+@helper
 def _median(sorted_values, count):
     middle = count >> 1
     if count & 1:
@@ -135,7 +134,7 @@ def _median(sorted_values, count):
 def _decide(begin, end, values, scales, own, disparity, reliable, tolerance, noise, smooth, out, scale, status):
     layers, _, width = values.shape
     for y in range(begin, end):
-        value, spread = np.empty(layers, np.float32), np.empty(layers, np.float32)
+        value, spread = empty(layers, np.float32), empty(layers, np.float32)
         for x in range(width):
             count = 0
             for k in range(layers):
@@ -190,8 +189,8 @@ def join_segments(labels: Ints, modelled: Mask, surfaces: Surfaces, color: Image
 def _statistics(labels, color, limit, count):
     # Return mean color, center (y, x), and mean limit of every segment; inf if at most a third of its pixels has one.
     height, width = labels.shape
-    sums = np.zeros((count, 8), np.int64)  # size, three colors, y, x, pixels with a limit
-    limit_sums = np.zeros(count, np.float64)
+    sums = zeros((count, 8), np.int64)  # size, three colors, y, x, pixels with a limit
+    limit_sums = zeros(count, np.float64)
     for y in range(height):
         for x in range(width):
             s = labels[y, x]
@@ -203,8 +202,8 @@ def _statistics(labels, color, limit, count):
             if limit[y, x] < np.inf:
                 sums[s, 6] += 1
                 limit_sums[s] += limit[y, x]
-    mean = np.empty((count, 3), np.float64)
-    segment_center = np.empty((count, 2), np.float64)
+    mean = empty((count, 3), np.float64)
+    segment_center = empty((count, 2), np.float64)
     limits = np.full(count, np.inf)
     for s in range(count):
         size = float(sums[s, 0])
@@ -219,11 +218,17 @@ def _statistics(labels, color, limit, count):
 
 @jit
 def _join(owners, mean, segment_center, limits, starts, neighbors, boundary, coefficients, center, bounds, unit):
-    waiting: Any = [(0.0, s, s) for s in range(owners.size) if owners[s] == s]
-    heapq.heapify(waiting)
+    waiting = empty((owners.size + neighbors.size, 3), np.float64)  # a heap of (cost, segment, owner)
+    size = 0
+    for s in range(owners.size):
+        if owners[s] == s:
+            _push(waiting, size, 0.0, s, s)
+            size += 1
     modelled = owners >= 0
-    while len(waiting) > 0:
-        cost, s, owner = heapq.heappop(waiting)
+    while size > 0:
+        cost, s, owner = waiting[0, 0], int(waiting[0, 1]), int(waiting[0, 2])
+        size -= 1
+        _remove_first(waiting, size)
         if not modelled[s]:
             if owners[s] >= 0:
                 continue
@@ -238,7 +243,45 @@ def _join(owners, mean, segment_center, limits, starts, neighbors, boundary, coe
             y, x = segment_center[t]
             if surface_at(coefficients, center, bounds, unit, owner, y, x) > limits[t]:
                 step += SHADOW_PENALTY
-            heapq.heappush(waiting, (cost + step, np.int64(t), owner))
+            _push(waiting, size, cost + step, t, owner)
+            size += 1
+
+
+@helper
+def _precedes(heap, i, j):
+    for c in range(2):
+        if heap[i, c] != heap[j, c]:
+            return heap[i, c] < heap[j, c]
+    return heap[i, 2] < heap[j, 2]
+
+
+@helper
+def _exchange(heap, i, j):
+    for c in range(3):
+        heap[i, c], heap[j, c] = heap[j, c], heap[i, c]
+
+
+@helper
+def _push(heap, size, cost, segment, owner):
+    # Add a row to the first ``size`` rows of a binary heap (heapq takes ten times as long to compile).
+    heap[size, 0], heap[size, 1], heap[size, 2] = cost, segment, owner
+    k = size
+    while k > 0 and _precedes(heap, k, (k - 1) >> 1):
+        _exchange(heap, k, (k - 1) >> 1)
+        k = (k - 1) >> 1
+
+
+@helper
+def _remove_first(heap, size):
+    # Leave the other ``size`` rows.
+    _exchange(heap, 0, size)
+    k, child = 0, 1
+    while child < size:
+        child += child + 1 < size and _precedes(heap, child + 1, child)
+        if not _precedes(heap, child, k):
+            break
+        _exchange(heap, child, k)
+        k, child = child, 2 * child + 1
 
 
 def add_detail(surface: Floats, known: Floats, labels: Ints, scale: Floats, reach: float) -> None:

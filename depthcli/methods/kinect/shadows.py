@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from depthcli.core.maps import Floats
-from depthcli.kernels.jit import jit
+from depthcli.kernels.jit import empty, helper, jit
 
 # Chosen on simulated sensors and on blocks cut out of real frames; nothing in the repository varies them.
 WIDTH_TOLERANCE = 4.0
@@ -135,13 +135,13 @@ def _shadow(gaps: Floats, prior: float) -> tuple[Shadow, float]:
     return Shadow(confidence, float(_SCALES[best[0]]), float(_COVERED[best[1]])), chance
 
 
-@jit
+@helper
 def gaps_of(d, first):
     """Return (n, 2), the known pixels on both sides of each gap in a row.
 
     If ``first``, the gap before the first known pixel counts too, with -1 on its left.
     """
-    ends = np.empty((d.size, 2), np.int64)
+    ends = empty((d.size, 2), np.int64)
     count, last = 0, -1
     for x in range(d.size):
         if not np.isnan(d[x]):
@@ -155,7 +155,7 @@ def gaps_of(d, first):
 @jit
 def _gaps(disparity):
     # Return (n, 2): width and step of every gap between known pixels of a row.
-    gaps, n = np.empty((disparity.size // 2 + 1, 2), np.float32), 0
+    gaps, n = empty((disparity.size // 2 + 1, 2), np.float32), 0
     for y in range(disparity.shape[0]):
         d = disparity[y]
         for last, x in gaps_of(d, False):

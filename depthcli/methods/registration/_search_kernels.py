@@ -6,7 +6,7 @@ import numpy as np
 
 from depthcli.algorithms.filters import add
 from depthcli.kernels.exponential import attainable_likelihood, likelihood, peak_ratio
-from depthcli.kernels.jit import jit
+from depthcli.kernels.jit import empty, helper, jit, zeros
 
 MAX_SMALL_VALUE = 85
 """Largest value of features with many channels: three differences then fit a byte, which makes the search faster."""
@@ -18,7 +18,7 @@ PLANES = (
 )
 
 
-@jit
+@helper
 def _differences(fixed, warped, small_values, row):
     # Write the sums over the channels of |fixed - warped|, (C, n) each, to ``row``, n uint16.
     channels = fixed.shape[0]
@@ -42,7 +42,7 @@ def _differences(fixed, warped, small_values, row):
         c += 1
 
 
-@jit
+@helper
 def _window_rows(differences, last, total):
     # Add to ``total`` the sums of last + 1 consecutive differences, from each position on.
     n = total.size
@@ -57,7 +57,7 @@ def _window_rows(differences, last, total):
         add(differences[j:], total)
 
 
-@jit
+@helper
 def _tile_costs(
     fixed, warped, offsets, half, reach, stride, size, shift, small_values, costs, row, sums, running, layers, volumes
 ):
@@ -115,7 +115,7 @@ def _tile_costs(
                         out[i] = np.uint16((volume[i] + rounding) >> shift)
 
 
-@jit
+@helper
 def _take(volume, first, stride, count, pitch, out):
     # Copy part of a volume (C, Z, Y, sx, X) to ``out`` (Z, sx, C, Y * pitch).
     for z in range(count[0]):
@@ -129,13 +129,13 @@ def _take(volume, first, stride, count, pitch, out):
                         target[y * pitch + i] = source[i]
 
 
-@jit
+@helper
 def _add_scaled(row, factor, out):
     for i in range(out.size):
         out[i] += row[i] * factor
 
 
-@jit
+@helper
 def _spread(costs, rows):
     # For (K, n) curves, write smallest cost, mean cost, 1 / deviation, and number of displacements cheaper than zero to
     # rows[0, 1, 3, 7], and the costs of displacement zero to rows[10].
@@ -167,7 +167,7 @@ def _spread(costs, rows):
         rate[i] = np.float32(1.0) / np.sqrt(variance) if variance > 0 else np.float32(0.0)
 
 
-@jit
+@helper
 def _raise(values, power, out):
     # out = values ** power, by repeated squaring
     for i in range(out.size):
@@ -185,7 +185,7 @@ def _raise(values, power, out):
         bit //= 2
 
 
-@jit
+@helper
 def _likelihoods(costs, offsets, lengths, power, costly, rows, out):
     # Write sums of likelihoods to rows[4, 5, 6], and sums of lengths, squared lengths and displacements, weighted by
     # powers of the likelihoods, to out[:5].
@@ -218,7 +218,7 @@ def _likelihoods(costs, offsets, lengths, power, costly, rows, out):
                 _add_scaled(e, np.float32(offsets[k, axis]), out[2 + axis])
 
 
-@jit
+@helper
 def _measure_row(costs, offsets, lengths, edge, neighbors, power, scale, costly, rows, out):
     """Write the measures of a row of curves, (K, n) uint16 costs with displacement zero first, to (planes, n) ``out``.
 
@@ -256,7 +256,7 @@ def _measure_row(costs, offsets, lengths, edge, neighbors, power, scale, costly,
         out[14, i] = np.float32(0.0) if flat else np.float32(1.0) / max(hard[i], np.float32(1e-30))
 
 
-@jit
+@helper
 def _peak_row(costs, before, after, best, mean, rows, out):
     """Write the peak ratio of one row of curves: second smallest local minimum over smallest cost.
 
@@ -321,20 +321,18 @@ def search_tiles(
     # A row has the tile's width in full vectors, the rest of the window, and the reach.
     pitch = width + (2 * half[2]) // stride[2] + (2 * reach[2] + stride[2] - 1) // stride[2] + 1
     for w in range(begin, end):
-        size = np.empty(3, np.int64)
-        count = np.empty(3, np.int64)
+        size = empty(3, np.int64)
+        count = empty(3, np.int64)
         # Every slice of ``near`` may be read as far as the last slice of ``far``.
-        near = np.zeros((window[0], stride[2], channels, (window[1] + 2) * pitch), np.uint8)
-        far = np.zeros(
-            (window[0] + 2 * reach[0], stride[2], channels, (window[1] + 2 * reach[1] + 2) * pitch), np.uint8
-        )
-        row = np.empty((window[1] + 1) * pitch, np.uint16)
-        total = np.empty((window[1] + 1) * pitch, sums.dtype)
-        running = np.empty(width, sums.dtype)
-        layers = np.empty((2 * half[0] + 1, tile[1], width), sums.dtype)
-        volumes = np.empty((tile[1], width), np.uint32)
-        work = np.empty((11, width), np.float32)
-        measured = np.empty((16, width), np.float32)
+        near = zeros((window[0], stride[2], channels, (window[1] + 2) * pitch), np.uint8)
+        far = zeros((window[0] + 2 * reach[0], stride[2], channels, (window[1] + 2 * reach[1] + 2) * pitch), np.uint8)
+        row = empty((window[1] + 1) * pitch, np.uint16)
+        total = empty((window[1] + 1) * pitch, sums.dtype)
+        running = empty(width, sums.dtype)
+        layers = empty((2 * half[0] + 1, tile[1], width), sums.dtype)
+        volumes = empty((tile[1], width), np.uint32)
+        work = empty((11, width), np.float32)
+        measured = empty((16, width), np.float32)
         for t in range(w, tiles.shape[0], workers):
             origin = tiles[t]
             for a in range(3):

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.algorithms.keypoints import KeyPoints
 from depthcli.core.method import ConfigModel
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import helper, jit, run_bands
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def match_rectified(
         own = points.x, points.sign, points.scale, points.descriptors
         other = others.x[order], others.sign[order], others.scale[order], others.descriptors[order]
         nearest, distance = np.full(len(points), -1, np.int32), np.full(len(points), np.inf, np.float32)
-        limits = low, high, ratio, max_scale_ratio
+        limits = float(low), float(high), float(ratio), float(max_scale_ratio)  # one type: compiled once
         run_bands(_find_nearest, len(points), *own, *other, first, last, limits, nearest, distance)
         return np.append(order, np.int32(-1))[nearest], distance
 
@@ -124,7 +124,7 @@ def _find_nearest(
             distance[k] = np.sqrt(best)
 
 
-@jit
+@helper
 def _squared_distance(here, there):
     total = np.float32(0.0)
     for i in range(here.size):
@@ -195,6 +195,6 @@ def _insert_nearest(begin, end, center_x, center_y, x, y, name, index, squared):
             nearest[place] = name[m]
 
 
-@jit
+@helper
 def _comes_before(distance, name, other_distance, other_name):
     return distance < other_distance or (distance == other_distance and name < other_name)

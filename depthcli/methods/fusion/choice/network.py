@@ -24,7 +24,7 @@ from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core import memory
 from depthcli.core.errors import InputError
 from depthcli.kernels.exponential import exp_minus
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.kernels.lanes import WIDE, absolute_difference, load_like, minimum, splat_like, store, wide_zero
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
 from depthcli.methods.fusion.map_costs import disagreements, hidden_jumps, image_planes, misfit_of_pixels
@@ -141,7 +141,7 @@ def _misfits(begin, end, maps, slope_x, slope_y, out):
     # Sums over the four neighbors: left, right, upper, lower.
     count, height, width = maps.shape
     for y in range(begin, end):
-        misfit = np.empty(width, np.float32)
+        misfit = empty(width, np.float32)
         for n in range(count):
             row, total = maps[n, y], out[n, y]
             total[:] = 0
@@ -155,7 +155,7 @@ def _misfits(begin, end, maps, slope_x, slope_y, out):
                     add(misfit, total)
 
 
-@jit
+@helper
 def _misfit_of_neighbors(here, there, slope_here, slope_there, out):
     for x in range(here.size):
         out[x] = min(misfit_of_pixels(here[x], there[x], slope_here[x], slope_there[x]), _MAX_MISFIT)
@@ -241,9 +241,9 @@ def _evaluate(begin, end, own, shared, values, relative, mean, scale, offsets, w
     n_own, n_relative = own.shape[0], relative.size
     last = mean.size - shared.shape[0]
     for task in range(begin, end):
-        inputs = np.empty(mean.size * WIDE, np.float32)
-        lowest = np.empty(n_relative * WIDE, np.float32)
-        hidden = np.empty((w1.shape[0] + w2.shape[0]) * TILE * WIDE, np.float32)
+        inputs = empty(mean.size * WIDE, np.float32)
+        lowest = empty(n_relative * WIDE, np.float32)
+        hidden = empty((w1.shape[0] + w2.shape[0]) * TILE * WIDE, np.float32)
         zero, start = wide_zero(), task * CHUNK
         largest = splat_like(zero, _MAX_DISTANCE)
         for at in range(start, min(pixels, start + CHUNK), WIDE):
@@ -291,7 +291,7 @@ def _softmax(begin, end, log_odds, shares):
                 cells[n] = cells[n] / total + NO_VOTE
 
 
-@jit
+@helper
 def _agreement(first, second, reach):
     apart = abs(first - second)
     return np.float32(1) - apart / reach if apart < reach else np.float32(0)

@@ -190,7 +190,7 @@ def _held(begin, end, labels, still, reliable, limit, coefficients, center, boun
             cost[y, x] = np.inf
             if s < 0 or not still[y, x]:
                 continue
-            value = surface_at(coefficients, center, bounds, unit, s, y, x)
+            value = surface_at(coefficients, center, bounds, unit, np.int64(s), float(y), float(x))
             off = abs(reliable[y, x] - value)
             if not off > jump + 3 * scale[s] and not value > limit[y, x] + jump:  # False if unknown
                 cost[y, x] = 0
@@ -208,7 +208,7 @@ def _sweep(pixels, cost, labels, own, color, reliable, limit, coefficients, cent
                 total = cost[v, u]
                 for c in range(3):
                     total += np.float32(abs(np.int64(color[y, x, c]) - np.int64(color[v, u, c])))
-                value = surface_at(coefficients, center, bounds, unit, labels[v, u], y, x)
+                value = surface_at(coefficients, center, bounds, unit, np.int64(labels[v, u]), float(y), float(x))
                 apart = weight * np.float32(abs(reliable[y, x] - value))
                 if not np.isnan(apart):
                     total += apart

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.resampling import gaussian, shifted
 from depthcli.core.method import Method, method_of
 from depthcli.kernels.exponential import exp_minus
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, jit, run_bands
 from depthcli.methods.registration._search_kernels import MAX_SMALL_VALUE
 
 VolumeArray = NDArray[np.float32]
@@ -81,7 +81,7 @@ def descriptor(volume: NDArray[np.float32], pairs: Sequence[tuple[Place, Place]]
 def _exponentials(begin, end, distances, variance, out):
     channels, _, height, width = distances.shape
     for z in range(begin, end):
-        lowest = np.empty(width, np.float32)
+        lowest = empty(width, np.float32)
         for y in range(height):
             for i in range(width):
                 lowest[i] = distances[0, z, y, i]

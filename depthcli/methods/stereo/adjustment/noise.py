@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.frames import Image, StereoPair
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, jit, run_bands, zeros
 
 _BLOCK, _REGION = 8, 32  # sides of the blocks that measure noise and of the regions that measure contrast, pixels
 _FLAT_PERCENTILE = 10  # blocks with less energy contain hardly anything but noise
@@ -104,9 +104,9 @@ def block_means(begin, end, image, means):
     """
     height, width, channels = image.shape
     for i in range(begin, end):
-        sums = np.zeros((3, width), np.float32)
-        rows = np.empty((3, width), np.float32)
-        down = np.empty(width + 2, np.float32)
+        sums = zeros((3, width), np.float32)
+        rows = empty((3, width), np.float32)
+        down = empty(width + 2, np.float32)
         for k in range(_BLOCK + 2):
             above, middle, below = rows[k % 3 - 2], rows[k % 3 - 1], rows[k % 3]
             y = min(max(i * _BLOCK + k - 1, 0), height - 1)  # the border pixels are repeated outwards

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.frames import Image, StereoPair
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands
 
 CELL = 4  # side of a cell, which has one gain, pixels of the reduced size
 N_TERMS = 6  # of a polynomial of the second degree, which models small rotations and different focal lengths
@@ -59,13 +59,13 @@ IDENTITY = Correction(np.zeros(N_TERMS), np.ones((1, 1, 3), np.float32))
 """The correction that changes nothing."""
 
 
-@jit
+@helper
 def polynomial(c, u, v):
     """Return the value at (u, v) of the polynomial with the 6 coefficients ``c``."""
     return c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v
 
 
-@jit
+@helper
 def cubic(p0, p1, p2, p3, t):
     """Return the Catmull-Rom spline through four samples, between ``p1`` (t = 0) and ``p2`` (t = 1)."""
     half = np.float32(0.5)
@@ -121,10 +121,10 @@ def _resample(begin, end, source, channels, row_shift, along, cell, top, result)
         i1 = min(i0 + 1, grid_height - 1)
         ty = gy - np.float32(i0)
         down = (2.0 * y - height) / height
-        row = np.empty(width, np.float32)
+        row = empty(width, np.float32)
         for x in range(width):
             row[x] = np.float32(float(y) + polynomial(row_shift, (2.0 * x - width) / width, down))
-        rest = np.empty(width * channels, np.float32)
+        rest = empty(width * channels, np.float32)
         x = 0
         while x < width:
             start, v = x, int(np.floor(row[x]))
@@ -198,12 +198,12 @@ class Details(NamedTuple):
         return cls(grey, np.asarray(dx, np.float32), np.asarray(dy, np.float32))
 
 
-@jit
+@helper
 def _along_column(image, v, u, t):
     return cubic(image[v - 1, u], image[v, u], image[v + 1, u], image[v + 2, u], t)
 
 
-@jit
+@helper
 def _bilinear(image, v, u, t, s):
     upper = image[v, u] + s * (image[v, u + 1] - image[v, u])
     lower = image[v + 1, u] + s * (image[v + 1, u + 1] - image[v + 1, u])
@@ -304,7 +304,7 @@ def _means(sums: NDArray[np.float32]) -> list[list[NDArray[np.float32]]]:
     return [[mean(grid, sigma) for grid in sums] for sigma in (_WIDE_SIGMA, _LOCAL_SIGMA)]
 
 
-@jit
+@helper
 def _matching_column(x, disparity):
     return max(x - int(disparity + np.float32(0.5)), 0)
 

@@ -16,7 +16,7 @@ from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
 from depthcli.kernels.exponential import exp2_minus
-from depthcli.kernels.jit import float32, jit, run_bands
+from depthcli.kernels.jit import float32, helper, jit, run_bands, zeros
 from depthcli.kernels.lanes import LANES, WIDE, fused, load_like, ordered_sum, scaled, splat, store, wide_zero
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.volume import CostVolume
@@ -68,7 +68,7 @@ class AdaptiveWeight(Aggregator):
         return np.ascontiguousarray(colors.transpose(0, 2, 1))
 
 
-@jit
+@helper
 def _add_taps(zero, sums, weights, at, left, left_at, left_step, right, right_at, right_step, cost, cost_at, cost_step,
               taps):  # fmt: skip
     # For every k < taps: t = left[k] * right[k, :]; sums += t * cost[k, :]; weights += t, for as many disparities as
@@ -82,7 +82,7 @@ def _add_taps(zero, sums, weights, at, left, left_at, left_step, right, right_at
     store(weights, at, weight)
 
 
-@jit
+@helper
 def _weigh(a0, a1, a2, b0, b1, b2, space, scale, squared, out):
     # out = 2 ** -(space + scale * |a - b|), in a form that compiles to vector code.
     for i in range(out.size):
@@ -109,11 +109,11 @@ def _aggregate(begin, end, costs, left, right, radius, gamma_color, gamma_space,
     narrow, wide = splat(float32(0)), wide_zero()
     color_scale = log2e / gamma_color
     for y in range(begin, end):
-        num = np.zeros(width * padded, np.float32)
-        den = np.zeros(width * padded, np.float32)
-        cost = np.zeros((width, padded), np.float32)
-        left_weights = np.zeros((side, stride), np.float32)
-        right_weights = np.zeros((side, stride), np.float32)
+        num = zeros(width * padded, np.float32)
+        den = zeros(width * padded, np.float32)
+        cost = zeros((width, padded), np.float32)
+        left_weights = zeros((side, stride), np.float32)
+        right_weights = zeros((side, stride), np.float32)
         for yq in range(max(0, y - radius), min(height, y + radius + 1)):
             row = costs[yq]
             for x in range(width):

@@ -8,7 +8,7 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import helper, jit, run_bands, zeros
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
@@ -35,19 +35,19 @@ class ConstantWindow(Aggregator):
         return CostVolume(means, volume.scale * factor)
 
 
-@jit
+@helper
 def _add(sums, terms):
     for i in range(sums.size):
         sums[i] += np.uint32(terms[i])
 
 
-@jit
+@helper
 def _subtract(sums, terms):
     for i in range(sums.size):
         sums[i] -= np.uint32(terms[i])
 
 
-@jit
+@helper
 def _row_means(columns, window, means, radius, rows, factor):
     # ``columns`` are sums over ``rows`` rows.
     width, n_disparities = means.shape
@@ -74,8 +74,8 @@ def _box_means(begin, end, costs, means, radius, factor, bands):
     for band in range(begin, end):
         first = band * height // bands
         last = (band + 1) * height // bands
-        columns = np.zeros(width * n_disparities, np.uint32)
-        window = np.zeros(n_disparities, np.uint32)
+        columns = zeros(width * n_disparities, np.uint32)
+        window = zeros(n_disparities, np.uint32)
         for y in range(max(0, first - radius), min(height, first + radius)):
             _add(columns, costs[y])
         for y in range(first, last):

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
@@ -109,7 +109,7 @@ def _inverse_areas(arms: NDArray[np.uint8], horizontal_first: bool) -> NDArray[n
     return np.asarray(1.0 / areas, np.float32)
 
 
-@jit
+@helper
 def _write(low, high, inverse, out, shift, last):
     # Differences of prefix sums: the last pass turns them into means, the others keep their upper 16 bits.
     if last:
@@ -130,7 +130,7 @@ def _n_blocks(shape: tuple[int, ...], along_rows: bool) -> int:
     return shape[0] if along_rows else -(-shape[1] // _COLUMNS)
 
 
-@jit
+@helper
 def _lines(shape, along_rows):
     # Number of lines, pixels per line and lines per block; cells from line to line and from pixel to pixel.
     height, width, n_disparities = shape
@@ -149,7 +149,7 @@ def _arm_sums(begin, end, source, arms, inverse, out, shift, last, along_rows):
         first_line = k * block
         n_here = min(block, n_lines - first_line)
         run = n_here * n_disparities
-        prefix = np.empty((length + 1, run), np.uint32)
+        prefix = empty((length + 1, run), np.uint32)
         prefix[0] = 0
         for n in range(length):
             start = first_line * line_step + n * step
@@ -170,7 +170,7 @@ def _arm_sums(begin, end, source, arms, inverse, out, shift, last, along_rows):
 # both. Unsigned index arithmetic spares the test for negative indices.
 
 
-@jit
+@helper
 def _cut_differences(prefix, arms, target, y, x, side, at, step, out):
     # out[d] = the difference of flat prefix sums over the arms of (y, x), cut to the arms of its match. The sum before
     # the pixel is at index ``at`` for d = 0; sums of neighbors are ``step`` apart.
@@ -196,7 +196,7 @@ def _intersected_spans(begin, end, source, arms, target, along_rows, spans):
         first_line = k * block
         n_here = min(block, n_lines - first_line)
         run = n_here * n_disparities
-        prefix = np.zeros((length + 1) * run, np.uint32)
+        prefix = zeros((length + 1) * run, np.uint32)
         for n in range(length):
             start = first_line * line_step + n * step
             costs = source[start : start + run]
@@ -220,8 +220,8 @@ def _intersected_means(begin, end, spans, arms, target, along_rows, means):
         first_line = k * block
         n_here = min(block, n_lines - first_line)
         run = n_here * n_disparities
-        prefix = np.zeros((length + 1) * run, np.uint64)
-        total = np.empty(n_disparities, np.uint64)
+        prefix = zeros((length + 1) * run, np.uint64)
+        total = empty(n_disparities, np.uint64)
         for n in range(length):
             start = first_line * line_step + n * step
             packed = spans[start : start + run]
@@ -263,7 +263,7 @@ def cross_arms(
     return arms
 
 
-@jit
+@helper
 def _step(center, neighbor, previous, alive, arm, limit, step_threshold):
     # Arms grow to ``neighbor`` if it differs from ``center`` by at most limit, and from ``previous`` by step_threshold.
     for k in range(center.shape[0]):

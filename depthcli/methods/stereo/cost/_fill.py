@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import intrinsic, jit, run_bands, types
+from depthcli.kernels.jit import empty, intrinsic, jit, run_bands, types, zeros
 from depthcli.kernels.lanes import (
     SHORT_LANES,
     absolute_difference,
@@ -44,7 +44,7 @@ def _count_bits(begin, end, left, right, costs):
     width = left.shape[1]
     n_disparities = costs.shape[2]
     for y in range(begin, end):
-        mirror = np.zeros(width + n_disparities, np.uint64)
+        mirror = zeros(width + n_disparities, np.uint64)
         for x in range(width):
             mirror[width - 1 - x] = right[y, x]
         for x in range(width):
@@ -93,7 +93,7 @@ def _extremes(begin, end, rows, low, high):
     width = rows.shape[1]
     padded = width + 2
     for y in range(begin, end):
-        row = np.empty(padded, np.int16)
+        row = empty(padded, np.int16)
         for x in range(width):
             row[x + 1] = rows[y, x]
         row[0], row[width + 1] = row[1], row[width]
@@ -115,13 +115,13 @@ def _difference_volume(begin, end, left, right, ranges, costs, half, shift, limi
     largest = splat(limit)
     zero = largest - largest
     for y in range(begin, end):
-        mirror = np.zeros((3, channels, row_size), left.dtype)
+        mirror = zeros((3, channels, row_size), left.dtype)
         for c in range(channels):
             for x in range(width):
                 mirror[0, c, width - 1 - x] = right[c, y, x]
                 if ranges is not None:
                     mirror[1, c, width - 1 - x], mirror[2, c, width - 1 - x] = ranges[2][c, y, x], ranges[3][c, y, x]
-        row = np.empty(padded, np.uint8)
+        row = empty(padded, np.uint8)
         for x in range(width):
             at = (y * width + x) * n_disparities
             for first in range(0, padded, SHORT_LANES):

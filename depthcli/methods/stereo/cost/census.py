@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import Image, StereoPair
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, jit, run_bands
 from depthcli.methods.stereo.cost import CostMeasure, Side, window_check
 from depthcli.methods.stereo.cost._fill import hamming_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
@@ -53,7 +53,7 @@ def _census(begin, end, padded, bits, ry, rx):
     width = bits.shape[1]
     side, count = 2 * rx + 1, (2 * ry + 1) * (2 * rx + 1) - 1
     for y in range(begin, end):
-        part = np.empty(width, np.uint16)
+        part = empty(width, np.uint16)
         out = bits[y]
         out[:] = 0
         center = padded[y + ry, rx : rx + width]

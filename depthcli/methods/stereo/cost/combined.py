@@ -10,7 +10,7 @@ from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.exponential import exp_minus_16
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import helper, jit, run_bands
 from depthcli.kernels.lanes import LANES, as_bytes, lane_exp_minus_16, load, load_like, splat, store
 from depthcli.methods.stereo.cost import CostMeasure, PartCost, light_weights
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
@@ -97,7 +97,7 @@ def _add_exponential(begin, end, costs, rate, units, adds, total):
             store(total, last, share)
 
 
-@jit
+@helper
 def _with_share(costs, sums, at, rate, unit, adds):
     # Lanes of the part's terms, added to ``sums`` if ``adds``, rounded half up, at most 255; see ``exp_minus_16``.
     share = splat(np.float32(1)) - lane_exp_minus_16(load(costs, at) * splat(rate))

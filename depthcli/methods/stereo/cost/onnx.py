@@ -12,7 +12,7 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import jit, run_bands, zeros
 from depthcli.methods.stereo.cost import CostMeasure
 from depthcli.methods.stereo.networks import (
     ColorOrder,
@@ -114,11 +114,11 @@ def _compare(begin, end, left, right, products, scale, largest, costs):
     channels = left.shape[1]
     half, zero = np.float32(0.5), np.float32(0.0)
     for y in range(begin, end):
-        mirror = np.zeros((channels, width + n_disparities), np.float32)
+        mirror = zeros((channels, width + n_disparities), np.float32)
         for c in range(channels):
             for x in range(width):
                 mirror[c, width - 1 - x] = right[y, c, x]
-        sums = np.zeros(n_disparities, np.float32)
+        sums = zeros(n_disparities, np.float32)
         for x in range(width):
             at = width - 1 - x
             sums[:] = 0

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import helper, jit, run_bands, zeros
 from depthcli.methods.stereo.cost import CostMeasure, Side, window_check
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
@@ -62,7 +62,7 @@ def _moments(
     return sums / area, (1.0 / np.sqrt(variance + noise**2)).astype(np.float32)
 
 
-@jit
+@helper
 def _add_products(left, right, sign, mirror, sums):
     columns, n_disparities = sums.shape
     for x in range(columns):
@@ -82,11 +82,11 @@ def _zncc_volume(begin, end, left, right, left_mean, left_factor, right_mean, ri
     tall, wide = rows - height + 1, columns - width + 1
     unit, one, half = np.float32(250.0), np.float32(1.0), np.float32(0.5)
     for band in range(begin, end):
-        sums = np.zeros((columns, n_disparities), np.int32)
-        mirror = np.zeros(columns + n_disparities, np.int32)
-        total = np.zeros(n_disparities, np.int32)
-        mean = np.zeros(width + n_disparities)
-        factor = np.zeros(width + n_disparities, np.float32)
+        sums = zeros((columns, n_disparities), np.int32)
+        mirror = zeros(columns + n_disparities, np.int32)
+        total = zeros(n_disparities, np.int32)
+        mean = zeros(width + n_disparities, np.float64)
+        factor = zeros(width + n_disparities, np.float32)
         first = band * _BAND
         for y in range(first, min(height, first + _BAND)):
             # Rows y .. y + tall - 1 of the padded images; the first row of a band starts from nothing.

@@ -11,7 +11,7 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.kernels.color_steps import color_steps
-from depthcli.kernels.jit import jit, n_threads, run_bands
+from depthcli.kernels.jit import helper, jit, n_threads, run_bands
 from depthcli.methods.stereo.optimization import Optimizer
 from depthcli.methods.stereo.optimization._path_step import BYTE_LANES, LANES, path_step, prefetch
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
@@ -120,7 +120,7 @@ def _sweep_tiles(begin, end, costs, sums, edges, table, diagonal, adds, state, m
         )  # fmt: skip
 
 
-@jit
+@helper
 def _sweep(costs, sums, edges, table, diagonal, upwards, adds, state, minima, first, last, tile, tile_end):
     # Rows ``first`` to ``last`` of a sweep; in each, the columns ``tile`` to ``tile_end``, both minus the row. Sums are
     # written or, with ``adds``, added. Paths come from the left, above, upper left and upper right; upwards, from the

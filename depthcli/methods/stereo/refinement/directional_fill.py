@@ -10,7 +10,7 @@ from pydantic import Field
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.color_steps import color_steps
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import helper, jit, run_bands
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import RefinementContext
 
@@ -100,7 +100,7 @@ def _replace(begin, end, values, measured, changes, right, axes, color_rate, dis
                 out[y, x] = replacement
 
 
-@jit
+@helper
 def _search(measured, changes, y, x, dy, dx, back, color_rate, distance_rate, limit):
     # Cost and distance (steps) of the nearest measured pixel in a direction; if there is none, at least ``limit``.
     height, width = measured.shape

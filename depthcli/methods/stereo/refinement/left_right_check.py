@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import jit, run_bands, zeros
 from depthcli.kernels.winners import partner_difference
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import RefinementContext
@@ -41,7 +41,7 @@ def _check(begin, end, values, right, tolerance, n_disparities, out, status):
     occluded, mismatch = np.uint8(1), np.uint8(2)  # Status.OCCLUDED, Status.MISMATCH
     width = values.shape[1]
     for y in range(begin, end):
-        matched = np.zeros(width, np.bool_)  # by a pixel of the right view
+        matched = zeros(width, np.bool_)  # by a pixel of the right view
         for u in range(width):
             d = right[y, u]
             if 0 <= d < min(n_disparities, width - u) and d == int(d):

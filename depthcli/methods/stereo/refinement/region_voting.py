@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import jit, run_bands, zeros
 from depthcli.methods.stereo.aggregation.cross import cross_arms
 from depthcli.methods.stereo.refinement import Refinement, with_filled
 from depthcli.methods.stereo.volume import RefinementContext
@@ -50,7 +50,7 @@ class RegionVoting(Refinement):
 def _vote(begin, end, values, arms, voted, bins, votes, majority):
     width = values.shape[1]
     for y in range(begin, end):
-        histogram = np.zeros(bins, np.int32)
+        histogram = zeros(bins, np.int32)
         for x in range(width):
             if not np.isnan(values[y, x]):
                 continue

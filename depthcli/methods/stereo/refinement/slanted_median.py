@@ -8,7 +8,7 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.window_slopes import color_differences, color_planes, framed, slopes
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.kernels.lanes import (
     LANES,
     SHORT_LANES,
@@ -100,8 +100,8 @@ def _filter(begin, end, planes, values, gradient, trust, grid, distance, color_r
     zero, one, far = splat(np.float32(0)), splat(np.float32(1)), splat(_FAR)
     part, rate = splat(np.float32(0.5)), splat(color_rate)
     for y in range(begin, end):
-        votes = np.empty(count * SHORT_LANES, np.float32)
-        weights = np.empty(count * SHORT_LANES, np.float32)
+        votes = empty(count * SHORT_LANES, np.float32)
+        weights = empty(count * SHORT_LANES, np.float32)
         for x in range(0, width, SHORT_LANES):
             center = (y + radius) * row_size + x + radius
             red, green = load_shorts(planes, center), load_shorts(planes, center + plane_size)
@@ -149,6 +149,6 @@ def _filter(begin, end, planes, values, gradient, trust, grid, distance, color_r
             row[x] = min(max(row[x], np.float32(0)), max_disparity)
 
 
-@jit
+@helper
 def _extrapolated(values, gradient, at, plane_size, back_x, back_y):
     return load(values, at) + load(gradient, at) * back_x + load(gradient, at + plane_size) * back_y

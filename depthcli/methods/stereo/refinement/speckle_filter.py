@@ -7,7 +7,7 @@ from pydantic import Field
 
 from depthcli.algorithms.regions import BAND, join, root
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import helper, jit, run_bands
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import RefinementContext
 
@@ -77,7 +77,7 @@ def _remove(begin, end, values, status, parent, sizes, size, mark):
                 status[y, x] |= mark
 
 
-@jit
+@helper
 def _find_runs(values, steps, limit, at, fixed, parent, sizes):
     first = 0
     for x in range(values.size):
@@ -89,7 +89,7 @@ def _find_runs(values, steps, limit, at, fixed, parent, sizes):
     sizes[at + first] = values.size - first
 
 
-@jit
+@helper
 def _join_rows(fixed, y, limit, parent, sizes):
     width = fixed.shape[1]
     below = above = -1  # the runs that were joined last

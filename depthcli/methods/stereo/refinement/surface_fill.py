@@ -7,7 +7,7 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.least_squares import huber_weight, plane_moments, plane_slopes
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.jit import jit, n_threads, run_bands
+from depthcli.kernels.jit import empty, helper, jit, n_threads, run_bands
 from depthcli.methods.stereo.refinement import Refinement, with_filled
 from depthcli.methods.stereo.volume import RefinementContext
 
@@ -56,12 +56,12 @@ def _continue_surfaces(begin, end, values, filled, rows, reach, support, largest
     # Gaps gather in some rows, so a task takes every n-th row.
     height = values.shape[0]
     for task in range(begin, end):
-        sample = np.empty((4, (2 * rows + 1) * reach), np.float64)
+        sample = empty((4, (2 * rows + 1) * reach), np.float64)
         for y in range(task, height, n_tasks):
             _fill_row(values, y, rows, reach, support, largest, sample, filled[y])
 
 
-@jit
+@helper
 def _fill_row(values, y, rows, reach, support, largest, sample, filled):
     width = values.shape[1]
     x = 0
@@ -92,7 +92,7 @@ def _fill_row(values, y, rows, reach, support, largest, sample, filled):
         x = end
 
 
-@jit
+@helper
 def _plane_along_row(values, y, x, step, rows, reach, support, sample):
     # Slope along the row, and value at (y, x), of the surface that begins at (y, x) and continues towards ``step``.
     height, width = values.shape

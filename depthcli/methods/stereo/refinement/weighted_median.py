@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 from depthcli.kernels.lanes import (
     LANES,
     absolute_difference,
@@ -82,7 +82,7 @@ class WeightedMedian(Refinement):
         return by_color, np.exp(-distance / self.distance_scale).astype(np.float32)
 
 
-@jit
+@helper
 def _equal(low, high):
     # Whether every window of these pixels has at most one value.
     varied = False
@@ -91,7 +91,7 @@ def _equal(low, high):
     return not varied
 
 
-@jit
+@helper
 def _weigh(colors, trust, shape, by_color, by_distance, first, differences, weights):
     # The weights of the windows of a block of pixels. The first window begins at ``first``. A whole row of a window is
     # looked up at a time, so that vectors are not read right after their numbers were written one by one.
@@ -113,7 +113,7 @@ def _weigh(colors, trust, shape, by_color, by_distance, first, differences, weig
             store(row, dx * LANES, load(row, dx * LANES) * near * trusted)
 
 
-@jit
+@helper
 def _halve(bins, row_size, first, size, weights, found, margin):
     # The medians of a block of pixels, by halving intervals, and their margins. A margin is how far the sums of the
     # weights below the median and up to it are from one half; the median is certain if its margin is positive.
@@ -142,7 +142,7 @@ def _halve(bins, row_size, first, size, weights, found, margin):
     store(margin, 0, minimum(below_high - goal, goal - below_low) - splat(_DOUBT) * total)
 
 
-@jit
+@helper
 def _count(bins, weights, i, low, high, histogram):
     # The median of pixel ``i`` of a block, whose window has ``bins`` (size, size) from ``low`` to ``high``.
     size, total = bins.shape[0], np.float32(0)
@@ -167,9 +167,9 @@ def _filter(begin, end, planes, bins, trust, by_color, by_distance, lowest, high
     width = filtered.shape[1]
     size, row_size = by_distance.shape[0], bins.shape[1]
     for y in range(begin, end):
-        histogram = np.zeros(np.max(highest[y]) + 1, np.float32)
-        weights, differences = np.empty(size * size * LANES, np.float32), np.empty((size + 1) * LANES, np.int16)
-        found, margin = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+        histogram = zeros(np.max(highest[y]) + 1, np.float32)
+        weights, differences = empty(size * size * LANES, np.float32), empty((size + 1) * LANES, np.int16)
+        found, margin = empty(LANES, np.float32), empty(LANES, np.float32)
         for x0 in range(0, width, LANES):
             x1, first = min(width, x0 + LANES), y * row_size + x0
             if _equal(lowest[y, x0:x1], highest[y, x0:x1]):

@@ -13,7 +13,7 @@ from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import RegionGraph, RegionPixels, connected_components_of_labels, merge_small_regions
 from depthcli.core import memory
 from depthcli.core.method import ConfigModel
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, jit, run_bands, zeros
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
@@ -95,7 +95,7 @@ def _segment_window(begin, end, costs, labels, radius, refinement, kind, out):
     height, width, n_disparities = costs.shape
     half = np.float32(0.5)
     for y in range(begin, end):
-        total = np.zeros(n_disparities, kind.dtype)
+        total = zeros(n_disparities, kind.dtype)
         for x in range(width):
             total[:] = 0
             label = labels[y, x]
@@ -134,7 +134,10 @@ def _distrust_constant_costs(begin, end, costs, trusted):
             if not trusted[y, x]:
                 continue
             row = costs[y, x, : min(n_disparities, x + 1)]
-            trusted[y, x] = row.max() > row.min() or n_disparities == 1
+            varies = n_disparities == 1
+            for i in range(row.size):
+                varies |= row[i] != row[0]
+            trusted[y, x] = varies
 
 
 @jit
@@ -145,7 +148,7 @@ def grid_parts(labels, cell, cut):
     any, and parts are counted from n on.
     """
     height, width = labels.shape
-    parts = np.empty(labels.shape, np.int32)
+    parts = empty(labels.shape, np.int32)
     number, seen_in = np.arange(cut.size).astype(np.int32), np.full(cut.size, -1, np.int32)
     count = 0 if cut.all() else cut.size
     n_cells = 0

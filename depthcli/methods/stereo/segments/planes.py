@@ -14,7 +14,7 @@ from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, Se
 from depthcli.algorithms.regions import RegionPixels, joined_regions
 from depthcli.core.context import Clock
 from depthcli.core.method import ConfigModel
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.methods.stereo.boundary import Boundary
 from depthcli.methods.stereo.boundary.gaussian import Gaussian
 from depthcli.methods.stereo.segments.first_estimate import SegmentedImage
@@ -163,9 +163,9 @@ class Energy(ConfigModel):
 # The pixels of segment t are ``order[starts[t] : starts[t + 1]]``, as in RegionPixels.
 
 
-@jit
+@helper
 def _coordinates(pixels, width):
-    x, y = np.empty(pixels.size, np.float32), np.empty(pixels.size, np.float32)
+    x, y = empty(pixels.size, np.float32), empty(pixels.size, np.float32)
     for i in range(pixels.size):
         x[i], y[i] = np.float32(pixels[i] % width), np.float32(pixels[i] // width)
     return x, y
@@ -186,7 +186,7 @@ def discrepancy(begin, end, unary, values, weights, order, starts, coefficients,
             if m == 0:
                 continue
             px, py = _coordinates(pixels, values.shape[1])
-            pd, pw = np.empty(m, np.float32), np.full(m, weights[0, 0])
+            pd, pw = empty(m, np.float32), np.full(m, weights[0, 0])
             for i in range(m):
                 y, x = pixels[i] // values.shape[1], pixels[i] % values.shape[1]
                 pd[i] = values[y, x]
@@ -218,7 +218,7 @@ def matching_cost(begin, end, unary, costs, values, order, starts, coefficients,
     _, width, n_disparities = costs.shape
     half = np.float32(0.5)
     for task in range(begin, end):
-        total, agreeing = np.empty(coefficients.shape[0]), np.empty(coefficients.shape[0], np.int32)
+        total, agreeing = empty(coefficients.shape[0], np.float64), empty(coefficients.shape[0], np.int32)
         for t in range(task, unary.shape[0], _TASKS):
             total[:], agreeing[:] = 0, 0
             for i in range(starts[t], starts[t + 1]):
@@ -252,7 +252,7 @@ def visibility(begin, end, unary, limits, order, starts, coefficients, weight):
     width = limits.shape[1] - 2
     a, b, c = coefficients[:, 0].copy(), coefficients[:, 1].copy(), coefficients[:, 2].copy()
     for task in range(begin, end):
-        count = np.empty(a.size, np.int32)
+        count = empty(a.size, np.int32)
         for t in range(task, unary.shape[0], _TASKS):
             count[:] = 0
             for i in range(starts[t], starts[t + 1]):
@@ -274,7 +274,7 @@ def out_of_range(begin, end, unary, width, order, starts, coefficients, max_disp
     planes = coefficients.astype(np.float32)
     a, b, c = planes[:, 0].copy(), planes[:, 1].copy(), planes[:, 2].copy()
     for task in range(begin, end):
-        leaves = np.empty(a.size, np.uint8)
+        leaves = empty(a.size, np.uint8)
         for t in range(task, unary.shape[0], _TASKS):
             x, y = _coordinates(order[starts[t] : starts[t + 1]], width)
             x0, x1 = np.float32(width), np.float32(0)

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.method import ConfigModel
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import jit, run_bands, zeros
 from depthcli.methods.stereo.keypoint_matching import Matches, nearest_points
 from depthcli.methods.stereo.segments.first_estimate import grid_parts
 from depthcli.methods.stereo.volume import CostVolume
@@ -101,7 +101,7 @@ class Ranges(ConfigModel):
 def _place_sums(zones, count):
     # Pixels of every zone, at least 1, and the sums of their columns and of their rows, (n,) each.
     height, width = zones.shape
-    sizes, columns, rows = np.zeros(count), np.zeros(count), np.zeros(count)
+    sizes, columns, rows = zeros(count, np.float64), zeros(count, np.float64), zeros(count, np.float64)
     for y in range(height):
         for x in range(width):
             sizes[zones[y, x]] += 1
