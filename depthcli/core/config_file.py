@@ -162,8 +162,11 @@ def config_with_options(
 
 def option_settings(options: Mapping[str, object]) -> list[tuple[str, str]]:
     """Return option and setting, for :func:`load_config`, from config key -> value, None if it is not given."""
-    given = ((f"--{key.rpartition('.')[2].replace('_', '-')}", key, value) for key, value in options.items())
-    return [(option, f"{key}={value}") for option, key, value in given if value is not None]
+    return [
+        (f"--{key.rpartition('.')[2].replace('_', '-')}", f"{key}={value}")
+        for key, value in options.items()
+        if value is not None
+    ]
 
 
 def dump_config(model: BaseModel) -> str:
