@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
+from depthcli.evaluation.benchmarks import TEST, TRAINING
 from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import write_png
+from tests.commands.test_export import V3, quarter, run_of
 from tests.golden import Same, steady_csv, steady_json
 
 
@@ -93,6 +95,15 @@ def test_depth(scored: list[str], same: Same, tmp_path: Path, capsys):
     same("depth.json", steady_json(capsys.readouterr().out))
     (depth,) = (tmp_path / "depth").rglob("depth.pfm")
     np.testing.assert_allclose(read_pfm(depth), 40 * 0.2 / (read_pfm(Path(words[1])) + 2), rtol=1e-6)
+
+
+def test_export(same: Same, tmp_path: Path, capsys):
+    run = run_of(tmp_path / "run", [*V3.scenes[TRAINING], *V3.scenes[TEST]], quarter)
+    words = ["export", str(run), "--for", "middlebury-v3", "--method", "ours", "-o", str(tmp_path / "a.zip")]
+    assert main(words) == 0
+    same("export.txt", "".join(capsys.readouterr()))
+    assert main([*words, "--overwrite", "--json"]) == 0
+    same("export.json", steady_json(capsys.readouterr().out))
 
 
 def test_presets(same: Same, capsys):
