@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from depthcli.core.frames import StereoPair
-from depthcli.kernels.jit import run_bands
 from depthcli.methods.stereo.adjustment import adjusted, noise
 from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.inputs import threads
@@ -32,19 +31,6 @@ def test_the_noise_of_the_mean_channel_is_measured(channels, sigma):
     deep, deep_contrast, _ = noise.noise_level(np.rint(noisy * 257).astype(np.float32))
     np.testing.assert_allclose(deep, 257 * sigma / np.sqrt(channels), rtol=0.25)
     np.testing.assert_allclose(deep_contrast, contrast, rtol=0.15)
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-@pytest.mark.parametrize("shape", [(50, 67), (32, 40, 3)])
-def test_means_of_blocks(shape, dtype):
-    image = np.random.default_rng(2).integers(0, 250, shape).astype(dtype)
-    found = np.empty((3, shape[0] // 8, shape[1] // 8), np.float32)
-    run_bands(noise.block_means, found.shape[1], image.reshape(*shape[:2], -1), found)
-    level = image.reshape(*shape[:2], -1).mean(2)
-    down = np.diff(np.pad(level, 1, "edge"), 2, axis=0)
-    for values, means in zip((np.diff(down, 2, axis=1) ** 2 / 36, level, level**2), found, strict=True):
-        blocks = values[: shape[0] // 8 * 8, : shape[1] // 8 * 8].reshape(shape[0] // 8, 8, shape[1] // 8, 8)
-        np.testing.assert_allclose(means, blocks.mean(axis=(1, 3)), rtol=1e-5)
 
 
 def dark(seed, kind="planes", sigma=1.5):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.frames import Image, StereoPair
-from depthcli.kernels.jit import empty, jit, run_bands, zeros
+from depthcli.core.maps import Floats
 
 _BLOCK, _REGION = 8, 32  # sides of the blocks that measure noise and of the regions that measure contrast, pixels
 _FLAT_PERCENTILE = 10  # blocks with less energy contain hardly anything but noise
@@ -49,8 +49,6 @@ def denoised(pair: StereoPair) -> StereoPair:
     averaging would remove the texture, so the pair is whitened instead: see :func:`whitening`.
     """
     images = pair.clamped
-    if _are_clean(images, pair.top):
-        return pair
     levels = [_level(image) for image in images]
     rest = 1 - _BRIGHT_PERCENTILE / 100
     is_dark = all(np.count_nonzero(level >= _DARK * pair.top) < rest * level.size for level in levels)
@@ -73,68 +71,7 @@ def denoised(pair: StereoPair) -> StereoPair:
     return replace(pair, left=left, right=right, bits=None)
 
 
-def _are_clean(images: tuple[Image, Image], top: int) -> bool:
-    # Whether the contrast of both images is above ``_CLEAN``, and one of them is not dark. These bounds are quick to
-    # compute and enough for most pairs: all energy counts as noise, and a dark image has a small mean.
-    if min(images[0].shape[:2]) < _REGION:
-        return False
-    means = []
-    for image in images:
-        height, width = (side // _REGION for side in image.shape[:2])
-        blocks = np.empty((3, *(side // _BLOCK for side in image.shape[:2])), np.float32)
-        run_bands(block_means, blocks.shape[1], image.reshape(*image.shape[:2], -1), blocks)
-        n = _REGION // _BLOCK
-        regions = blocks[1:, : height * n, : width * n].reshape(2, height, n, width, n).mean(axis=(2, 4))
-        spread = np.sort((1 - 1e-5) * regions[1] - regions[0] ** 2, axis=None)  # reduced by more than rounding errors
-        energy = np.sort(blocks[0], axis=None)
-        noise = max(1.01 * energy[math.ceil(_FLAT_PERCENTILE / 100 * (energy.size - 1))], _ROUNDING_NOISE**2)
-        if spread[(spread.size - 1) // 2] < _CLEAN**2 * noise:
-            return False
-        means.append(regions[0].mean())
-    bright = 1 - _BRIGHT_PERCENTILE / 100
-    return bool(max(means) > 1.01 * (bright + (1 - bright) * _DARK) * top)
-
-
-@jit
-def block_means(begin, end, image, means):
-    """Write means over blocks of 8 x 8 pixels of an (H, W, C) ``image`` to ``means``, (3, H // 8, W // 8) float32.
-
-    The means are of the squared second differences of levels, the levels, and their squares; see :func:`noise_level`.
-    A level is the mean of a pixel's channels.
-    """
-    height, width, channels = image.shape
-    for i in range(begin, end):
-        sums = zeros((3, width), np.float32)
-        rows = empty((3, width), np.float32)
-        down = empty(width + 2, np.float32)
-        for k in range(_BLOCK + 2):
-            above, middle, below = rows[k % 3 - 2], rows[k % 3 - 1], rows[k % 3]
-            y = min(max(i * _BLOCK + k - 1, 0), height - 1)  # the border pixels are repeated outwards
-            if channels == 3:
-                red, green, blue = image[y, :, 0], image[y, :, 1], image[y, :, 2]
-                for x in range(width):
-                    below[x] = np.float32(np.int32(red[x]) + np.int32(green[x]) + np.int32(blue[x])) / np.float32(3)
-            else:
-                for x in range(width):
-                    below[x] = image[y, x, 0]
-            if k < 2:
-                continue
-            for x in range(width):
-                down[x + 1] = above[x] - np.float32(2) * middle[x] + below[x]
-            down[0], down[width + 1] = down[1], down[width]
-            before, same, after = down[:width], down[1 : width + 1], down[2:]
-            energy, levels, squares = sums[0], sums[1], sums[2]
-            for x in range(width):
-                difference = (before[x] - np.float32(2) * same[x] + after[x]) / np.float32(6)
-                energy[x] += difference * difference
-                levels[x] += middle[x]
-                squares[x] += middle[x] * middle[x]
-        for n in range(3):
-            for j in range(means.shape[2]):
-                means[n, i, j] = np.sum(sums[n, j * _BLOCK : (j + 1) * _BLOCK]) / np.float32(_BLOCK**2)
-
-
-def noise_level(level: NDArray[np.float32], differing: float = 0.0) -> tuple[float, float, int]:
+def noise_level(level: Floats, differing: float = 0.0) -> tuple[float, float, int]:
     """Return the standard deviation of an image's noise (levels), the contrast over it, and the radius to average over.
 
     The contrast is the median standard deviation within 32 x 32 pixels. White noise averaged over 2 x 2 pixels keeps a
@@ -156,7 +93,7 @@ def noise_level(level: NDArray[np.float32], differing: float = 0.0) -> tuple[flo
     return deviation, float(np.sqrt(max(np.median(spread), 0))) / deviation, radius
 
 
-def whitening(levels: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32], float] | None:
+def whitening(levels: Sequence[Floats]) -> tuple[Floats, float] | None:
     """Return a filter for images in strong noise of any spectrum, (31, 31), and the deviation of the noise after it.
 
     Its gain at a frequency is ``sqrt(S) / N`` with the power S of texture and N of noise: Eckart's filter (Knapp,
@@ -196,7 +133,7 @@ def whitening(levels: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32
     return kernel.astype(np.float32), float(np.sqrt((noise * gain**2) @ share))
 
 
-def _whitened(image: Image, mean: np.float32, kernel: NDArray[np.float32], epsilon: float) -> NDArray[np.uint16]:
+def _whitened(image: Image, mean: np.float32, kernel: Floats, epsilon: float) -> NDArray[np.uint16]:
     result = np.empty(image.shape, np.uint16)
     margin = len(kernel) // 2 + 2 * _WHITENED_RADIUS
     for y in range(0, image.shape[0], _STRIP):
@@ -208,7 +145,7 @@ def _whitened(image: Image, mean: np.float32, kernel: NDArray[np.float32], epsil
     return result
 
 
-def _differing(left: NDArray[np.float32], right: NDArray[np.float32]) -> float:
+def _differing(left: Floats, right: Floats) -> float:
     # How much means over 4 x 4 pixels differ between the views, 0 .. 1. Texture, unlike noise, has a match in the row.
     left, right = (_block_means(level, 4) for level in (left, right))
     energy = _block_means(_details(left), _BLOCK)
@@ -222,23 +159,23 @@ def _differing(left: NDArray[np.float32], right: NDArray[np.float32]) -> float:
     return min(max((texture - float(np.median(found))) / (texture - noise), 0.0), 1.0)
 
 
-def _level(image: NDArray[Any]) -> NDArray[np.float32]:
+def _level(image: NDArray[Any]) -> Floats:
     # The mean of the channels.
     if image.ndim == 2:
         return image.astype(np.float32)
-    return cast(NDArray[np.float32], cv2.transform(image.astype(np.float32), np.full((1, 3), 1 / 3, np.float32)))
+    return cast(Floats, cv2.transform(image.astype(np.float32), np.full((1, 3), 1 / 3, np.float32)))
 
 
-def _details(level: NDArray[np.float32]) -> NDArray[np.float32]:
+def _details(level: Floats) -> Floats:
     details = cv2.filter2D(level, cv2.CV_32F, _SECOND_DIFFERENCE, borderType=cv2.BORDER_REFLECT)
     return np.asarray(details * details, np.float32)
 
 
-def _flat_energy(level: NDArray[np.float32]) -> float:
+def _flat_energy(level: Floats) -> float:
     return float(np.percentile(_block_means(_details(level), _BLOCK), _FLAT_PERCENTILE))
 
 
-def _block_means(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+def _block_means(values: Floats, side: int) -> Floats:
     # Means of whole blocks, at least one block a side.
     height, width = (max(1, n // side) for n in values.shape)
     part = values[: height * side, : width * side]
