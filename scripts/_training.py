@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
 
 from depthcli.algorithms.error_table import ErrorTable
 from depthcli.algorithms.pixel_network import TrainedNetwork
-from depthcli.methods.registration.pipeline.search import isotonic
 
 LEVELS = np.array([0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98, 0.99])
 BINS = np.array([0, 0.005, 0.01, 0.02, *np.linspace(0.04, 1, 25)])  # shares of the pixels, by their log odds
@@ -154,7 +154,8 @@ def table(
     if noise:
         least = noise * np.array([NormalDist().inv_cdf((1 + level) / 2) for level in LEVELS])
         mixed = np.log2(np.hypot(np.exp2(mixed), least))
-    log2 = np.maximum.accumulate(np.stack([-isotonic(-column, filled) for column in mixed.T], axis=1), axis=1)
+    rising = [-isotonic_regression(-column, weights=filled).x for column in mixed.T]
+    log2 = np.maximum.accumulate(np.stack(rising, axis=1), axis=1)
     centers = np.bincount(bins, weight * key, enough.size)[enough] / filled
     # Beyond the ends it goes on a little, so that the order of the pixels stays.
     ends = [log2[:1] + 0.5, log2, log2[-1:] - 0.5]

@@ -9,6 +9,7 @@ Images are (H, W, 3) uint8 RGB; maps are (H, W) float32, NaN = unknown; labels a
 | ``dense_crf`` | marginals of labels in a fully connected conditional random field |
 | ``segmentation`` | partitions of an image into regions, one file per method |
 | ``regions`` | connected components of label maps, their pixels, the graph of neighbors, merging |
+| ``nearest`` | the points nearest to given places |
 | ``keypoints`` | distinctive points with descriptors, one file per method |
 | ``plane_fitting`` | planes and polynomials through known values, robust to outliers |
 | ``filters`` | local mean and variance, discontinuity masks, gaps filled by similar color, OpenCV in one thread |

@@ -17,6 +17,7 @@ from depthcli.algorithms.filters import single_thread
 from depthcli.core.cameras.camera import Camera, Intrinsics
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
+from depthcli.core.maps import Doubles, Floats, Image8, Mask
 
 MIN_CORNERS = 6  # smallest number of corners in a photo; four fit any camera
 MIN_PHOTOS = 3  # smallest number of photos of a camera
@@ -50,7 +51,7 @@ class Corners:
     """The corners of a board in an image."""
 
     ids: NDArray[np.int64]  # (N,) int, indices of the corners on the board, row by row, ascending
-    pixels: NDArray[np.float64]  # (N, 2) float64, x and y
+    pixels: Doubles  # (N, 2) float64, x and y
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -65,7 +66,7 @@ class Board(ABC):
     square: float
 
     @cached_property
-    def points(self) -> NDArray[np.float32]:
+    def points(self) -> Floats:
         """The corners (N, 3), row by row, meters, z = 0."""
         y, x = np.mgrid[: self.rows, : self.columns]
         return np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3).astype(np.float32) * np.float32(self.square)
@@ -76,16 +77,14 @@ class Board(ABC):
         """Name of the board, for a message."""
 
     @abstractmethod
-    def find(self, grey: NDArray[np.uint8]) -> Corners | None:
+    def find(self, grey: Image8) -> Corners | None:
         """Return the corners in an (H, W) image; None if the board is not found."""
 
     def alike(self, left: Corners, right: Corners) -> Corners:
         """Return the right view's corners, numbered like the left view's corners."""
         return right
 
-    def _refined(
-        self, grey: NDArray[np.uint8], corners: Corners, share: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def _refined(self, grey: Image8, corners: Corners, share: float) -> tuple[Doubles, Mask]:
         # Return the corners refined in a window, and whether a smaller window agrees. Half the window is ``share`` of
         # the smallest spacing of corners.
         places = np.full((self.rows * self.columns, 2), np.nan)
@@ -118,7 +117,7 @@ class Chessboard(Board):
             f"a chessboard of {self.columns} x {self.rows} inner corners ({self.columns + 1} x {self.rows + 1} squares)"
         )
 
-    def find(self, grey: NDArray[np.uint8]) -> Corners | None:
+    def find(self, grey: Image8) -> Corners | None:
         found, pixels = cv2.findChessboardCornersSB(grey, (self.columns, self.rows), flags=_FLAGS)
         if not found or len(pixels) != self.columns * self.rows:
             return None
@@ -145,13 +144,13 @@ class Chessboard(Board):
         wanted, grid = (each.pixels.reshape(self.rows, self.columns, 2) for each in (left, right))
         return Corners(right.ids, self._turned(grid, _direction(wanted)).reshape(-1, 2))
 
-    def _turned(self, grid: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _turned(self, grid: Doubles, axis: Doubles) -> Doubles:
         # Return the grid of corners, turned so that its rows are closest to the direction ``axis``.
         turns = range(0, 4, 1 if self.columns == self.rows else 2)
         return max((np.rot90(grid, k) for k in turns), key=lambda each: float(_direction(each) @ axis))
 
 
-def _direction(grid: NDArray[np.float64]) -> NDArray[np.float64]:
+def _direction(grid: Doubles) -> Doubles:
     vector = grid[:, -1].mean(axis=0) - grid[:, 0].mean(axis=0)
     return np.asarray(vector / np.linalg.norm(vector), np.float64)
 
@@ -167,7 +166,7 @@ class CharucoBoard(Board):
     def words(self) -> str:
         return f"a ChArUco board of {self.columns + 1} x {self.rows + 1} squares with markers of {self.dictionary}"
 
-    def find(self, grey: NDArray[np.uint8]) -> Corners | None:
+    def find(self, grey: Image8) -> Corners | None:
         markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.dictionary}"))
         board = cv2.aruco.CharucoBoard((self.columns + 1, self.rows + 1), self.square, self.marker, markers)
         pixels, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
@@ -205,7 +204,7 @@ class CameraFit:
     focal_deviations: tuple[float, float] | None
     # name of a photo -> root mean square of its reprojection errors, pixels; without outliers
     errors: dict[str, float]
-    residuals: dict[str, NDArray[np.float64]]  # name -> (N, 2), pixels
+    residuals: dict[str, Doubles]  # name -> (N, 2), pixels
     tilt: float  # largest angle between the board in two photos, degrees
     outliers: dict[str, float]  # name of a photo that was left out -> error
     # relative standard deviation of the focal length, from the condition of all equations; infinite: undetermined
@@ -319,7 +318,7 @@ def fit_rig(board: Board, pairs: dict[str, tuple[Corners, Corners]], alone: tupl
     return RigFit(fine.rig, fine.errors, rough.outliers)
 
 
-def _lengths(rig: Rig) -> NDArray[np.float64]:
+def _lengths(rig: Rig) -> Doubles:
     # Return the focal lengths of both cameras, pixels, and the baseline, meters.
     return np.array([*np.diag(rig.left.matrix)[:2], *np.diag(rig.right.matrix)[:2], rig.baseline])
 
@@ -375,21 +374,19 @@ def _fit_camera(board: Board, photos: dict[str, Corners], size: Size, fisheye: b
     return CameraFit(camera, deviations, errors, residuals, tilt, {}, uncertainty)
 
 
-def _focal_sensitivity(
-    camera: Camera, objects: Sequence[NDArray[np.float32]], poses: Sequence[NDArray[np.float64]]
-) -> float:
+def _focal_sensitivity(camera: Camera, objects: Sequence[Floats], poses: Sequence[Doubles]) -> float:
     """Return the relative standard deviation of the focal length if corners have a standard deviation of one pixel.
 
     It comes from the normal equations of all parameters after elimination of the board's poses.
     """
     lens = np.concatenate([camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], camera.coefficients])
 
-    def project(points: NDArray[np.float32], values: NDArray[np.float64], pose: NDArray[np.float64]) -> Any:
+    def project(points: Floats, values: Doubles, pose: Doubles) -> Any:
         matrix = Intrinsics(*values[:4].tolist()).matrix
         model = Camera(matrix, tuple(values[4:].tolist()), None, camera.fisheye)
         return _projected(model, points, pose[:3], pose[3:]).ravel()
 
-    def jacobian(of: Callable[[NDArray[np.float64]], Any], at: NDArray[np.float64]) -> NDArray[np.float64]:
+    def jacobian(of: Callable[[Doubles], Any], at: Doubles) -> Doubles:
         columns = []
         for k, value in enumerate(at):
             step = np.zeros(len(at))
@@ -437,7 +434,7 @@ def _fit_rig(
         ]
         rig = Rig(found[0], found[1], np.asarray(parts[5], np.float64), np.asarray(parts[6], np.float64).ravel())
     except (cv2.error, InputError) as error:
-        raise InputError("the pairs do not determine where the cameras stand") from error
+        raise InputError("the pairs do not determine the positions of the cameras") from error
     errors, zero = {}, np.zeros(3)
     for name, points, in_left, in_right in zip(pairs, objects, left, right, strict=True):
         # The pose of the board comes from the left view.
@@ -450,18 +447,16 @@ def _fit_rig(
     return RigFit(rig, errors, {})
 
 
-def _arrays(board: Board, views: Iterable[Corners]) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:
+def _arrays(board: Board, views: Iterable[Corners]) -> tuple[list[Floats], list[Floats]]:
     listed: list[Corners] = list(views)
     return [board.points[each.ids] for each in listed], [each.pixels.astype(np.float32) for each in listed]
 
 
-def _projected(
-    camera: Camera, points: NDArray[Any], turn: NDArray[np.float64], shift: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _projected(camera: Camera, points: NDArray[Any], turn: Doubles, shift: Doubles) -> Doubles:
     project = cv2.fisheye.projectPoints if camera.fisheye else cv2.projectPoints
     pixels, _ = project(points.astype(np.float64)[:, None], turn, shift, camera.matrix, camera.coefficients)
     return np.asarray(pixels, np.float64).reshape(-1, 2)
 
 
-def _rms(residuals: NDArray[np.float64]) -> float:
+def _rms(residuals: Doubles) -> float:
     return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))

@@ -8,8 +8,8 @@ from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from depthcli.core.maps import Doubles, Floats
 from depthcli.kernels.jit import jit, run_bands
 
 _POINTS = 4096  # equidistant log odds between which a column is interpolated
@@ -27,17 +27,17 @@ class ErrorTable:
     grows.
     """
 
-    log_odds: NDArray[np.float64]  # (R,) ascending
-    levels: NDArray[np.float64]  # (L,) ascending, in 0 .. 1
-    log2_errors: NDArray[np.float64]  # (R, L); columns fall, rows rise
+    log_odds: Doubles  # (R,) ascending
+    levels: Doubles  # (L,) ascending, in 0 .. 1
+    log2_errors: Doubles  # (R, L); columns fall, rows rise
 
-    def bound(self, log_odds: NDArray[np.float32], level: float) -> NDArray[np.float32]:
+    def bound(self, log_odds: Floats, level: float) -> Floats:
         """Return the error bound with coverage ``level`` of values with these log odds."""
         at, places = _logit(level), _logit(self.levels)
         column = np.array([np.interp(at, places, row) for row in self.log2_errors])
         return self._looked_up(log_odds, np.exp2(np.interp(self._points, self.log_odds, column)))
 
-    def probability(self, log_odds: NDArray[np.float32], within: float | NDArray[np.float32]) -> NDArray[np.float32]:
+    def probability(self, log_odds: Floats, within: float | Floats) -> Floats:
         """Return the share of the values with these log odds whose error is at most ``within``.
 
         ``within`` is a number, or an array with a limit per value. In the second case, both arrays are (H, W), and the
@@ -53,15 +53,15 @@ class ErrorTable:
         return np.asarray(cv2.remap(grid, *at, cv2.INTER_LINEAR), np.float32)
 
     @cached_property
-    def _points(self) -> NDArray[np.float64]:
+    def _points(self) -> Doubles:
         return np.linspace(self.log_odds[0], self.log_odds[-1], _POINTS)
 
     @cached_property
-    def _grid(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    def _grid(self) -> tuple[Doubles, Floats]:
         limits = np.linspace(self.log2_errors.min() - 2, self.log2_errors.max() + 2, _LIMITS)
         return limits, self._shares(limits).astype(np.float32)
 
-    def _shares(self, limits: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _shares(self, limits: Doubles) -> Doubles:
         """Return the shares of the errors up to 2 ** limit; rows are points of the log odds, columns are limits."""
         rows = np.stack([np.interp(self._points, self.log_odds, column) for column in self.log2_errors.T], axis=1)
         places = _logit(self.levels)
@@ -70,7 +70,7 @@ class ErrorTable:
         above = 1 - (1 - self.levels[-1]) * np.exp2(np.minimum(rows[:, -1:] - limits, 0))
         return np.asarray(np.where(limits < rows[:, :1], below, np.where(limits > rows[:, -1:], above, inside)))
 
-    def _looked_up(self, log_odds: NDArray[np.float32], column: NDArray[np.float64]) -> NDArray[np.float32]:
+    def _looked_up(self, log_odds: Floats, column: Doubles) -> Floats:
         # Interpolate a column, given at ``_points``, at log odds of any shape.
         found = np.empty(log_odds.shape, np.float32)
         flat = np.ascontiguousarray(log_odds, np.float32).reshape(-1)
@@ -83,12 +83,12 @@ class ErrorTable:
 
 
 @lru_cache(16)
-def _shares_within(table: ErrorTable, within: float) -> NDArray[np.float64]:
+def _shares_within(table: ErrorTable, within: float) -> Doubles:
     return table._shares(np.array([math.log2(within)]))[:, 0]
 
 
-def _logit(share: float | NDArray[np.float64]) -> NDArray[np.float64]:
-    odds: NDArray[np.float64] = np.log(np.asarray(share) / (1 - np.asarray(share)))
+def _logit(share: float | Doubles) -> Doubles:
+    odds: Doubles = np.log(np.asarray(share) / (1 - np.asarray(share)))
     return odds
 
 

@@ -10,7 +10,10 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from depthcli.core.maps import Floats, Image8, Mask
+from depthcli.core.method import ConfigModel, Odd
 from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 
 _BAND = 32  # rows per task
@@ -21,29 +24,27 @@ CORRELATED = 7
 """Side of the windows of :func:`correlation`, pixels; networks are trained with it."""
 
 
-def local_moments(image: NDArray[np.float32], side: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def local_moments(image: Floats, side: int) -> tuple[Floats, Floats]:
     """Return mean and variance in square windows of ``side`` pixels, reflected at the border; (H, W) float32 each."""
     mean = cv2.blur(image, (side, side))
     variance = np.maximum(cv2.blur(image * image, (side, side)) - mean * mean, 0)
     return np.asarray(mean, np.float32), np.asarray(variance, np.float32)
 
 
-def local_range(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+def local_range(values: Floats, side: int) -> Floats:
     """Return the largest minus the smallest value in square windows of ``side`` pixels, (H, W) float32."""
     window = np.ones((side, side), np.uint8)
     return np.asarray(cv2.dilate(values, window) - cv2.erode(values, window), np.float32)
 
 
-def window_means(planes: NDArray[np.float32], side: int, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+def window_means(planes: Floats, side: int, out: Floats | None = None) -> Floats:
     """Return the means of square windows of (N, H, W) float32 planes, like cv2.blur, on all threads."""
     out = np.empty(planes.shape, np.float32) if out is None else out
     run_bands(_average, planes.shape[0] * -(-planes.shape[1] // _BAND), planes, side, out)
     return out
 
 
-def correlation(
-    image: NDArray[np.float32], moments: tuple[NDArray[np.float32], NDArray[np.float32]], others: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def correlation(image: Floats, moments: tuple[Floats, Floats], others: Floats) -> Floats:
     """Return the correlation of square windows of an (H, W) image with windows of ``others``, (N, H, W).
 
     Windows have a side of ``CORRELATED`` pixels. ``moments`` are the local mean and variance of ``image``. Variances
@@ -117,9 +118,16 @@ def _correlate(begin, end, mean, square, product, other_mean, other_variance):
                 p[x] /= scratch[x]
 
 
-def discontinuity_mask(
-    disparity: NDArray[np.floating[Any]], nonocc: NDArray[np.bool_], known: NDArray[np.bool_] | None = None
-) -> NDArray[np.bool_]:
+def beside_steps(across: Mask, down: Mask) -> Mask:
+    """Select the pixels, (H, W) bool, on both sides of steps between columns, (H, W - 1), or rows, (H - 1, W)."""
+    selected = np.zeros((len(across), down.shape[1]), np.bool_)
+    for step, pixels in ((across.T, selected.T), (down, selected)):
+        pixels[1:] |= step
+        pixels[:-1] |= step
+    return selected
+
+
+def discontinuity_mask(disparity: NDArray[np.floating[Any]], nonocc: Mask, known: Mask | None = None) -> Mask:
     """Return the visible pixels near a depth discontinuity, as in the ``disc`` masks of Middlebury v2.
 
     These are the pixels of ``nonocc`` (visible in both views) whose 9 x 9 window contains an occluded pixel, or a pixel
@@ -127,12 +135,8 @@ def discontinuity_mask(
     as occluded; None: all pixels are known. Disparities are finite.
     """
     edge = ~nonocc if known is None else known & ~nonocc
-    jump_x, jump_y = np.abs(np.diff(disparity, axis=1)) > _DISC_GAP, np.abs(np.diff(disparity, axis=0)) > _DISC_GAP
-    edge[:, 1:] |= jump_x
-    edge[:, :-1] |= jump_x
-    edge[1:] |= jump_y
-    edge[:-1] |= jump_y
-    near: NDArray[np.bool_] = cv2.dilate(edge.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+    edge |= beside_steps(*(np.abs(np.diff(disparity, axis=axis)) > _DISC_GAP for axis in (1, 0)))
+    near: Mask = cv2.dilate(edge.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
     return near & nonocc
 
 
@@ -159,33 +163,33 @@ def single_thread() -> Iterator[None]:
                 cv2.setNumThreads(before)
 
 
-def joint_bilateral_fill(
-    color: NDArray[np.uint8],
-    values: NDArray[np.float32],
-    window: int = 21,
-    sigma_space: float = 5.0,
-    sigma_color: float = 15.0,
-) -> NDArray[np.float32]:
-    """Fill NaN with ``sum w v / sum w`` over the known values in a window, from the edges of gaps inwards.
+class JointBilateral(ConfigModel):
+    """Filling with means of a window, weighted by distance and color similarity."""
 
-    ``w = exp(-|p - q|^2 / 2 sigma_space^2 - |I_p - I_q|^2 / 2 sigma_color^2)`` for an (H, W, 3) image I. Filled values
-    count as known in the next round. Pixels that no round can fill remain NaN.
-    """
-    reach = window // 2
-    offsets = np.arange(-reach, reach + 1)
-    spatial = np.exp(-(offsets[:, None] ** 2 + offsets**2) / (2 * sigma_space**2)).astype(np.float32)
-    likeness = np.exp(-np.arange(3 * 255**2 + 1) / (2 * sigma_color**2)).astype(np.float32)
-    filled = values.copy()
-    unknown = np.argwhere(np.isnan(filled))
-    while unknown.size:
-        means = np.empty(len(unknown), np.float32)
-        run_bands(_bilateral_means, len(unknown), color, filled, unknown, spatial, likeness, means)
-        reached = ~np.isnan(means)
-        if not reached.any():
-            break
-        filled[tuple(unknown[reached].T)] = means[reached]
-        unknown = unknown[~reached]
-    return filled
+    window: Odd = Field(21, ge=3, le=101, description="side of the window, pixels, odd")
+    sigma_space: float = Field(5.0, gt=0, description="standard deviation of the weight by distance, pixels")
+    sigma_color: float = Field(15.0, gt=0, description="standard deviation of the weight by color, grey levels")
+
+    def fill(self, color: Image8, values: Floats) -> Floats:
+        """Fill NaN with ``sum w v / sum w`` over the known values in a window, from the edges of gaps inwards.
+
+        ``w = exp(-|p - q|^2 / 2 sigma_space^2 - |I_p - I_q|^2 / 2 sigma_color^2)`` for an (H, W, 3) image I. Filled
+        values count as known in the next round. Pixels that no round can fill remain NaN.
+        """
+        offsets = np.arange(-(self.window // 2), self.window // 2 + 1)
+        spatial = np.exp(-(offsets[:, None] ** 2 + offsets**2) / (2 * self.sigma_space**2)).astype(np.float32)
+        likeness = np.exp(-np.arange(3 * 255**2 + 1) / (2 * self.sigma_color**2)).astype(np.float32)
+        filled = values.copy()
+        unknown = np.argwhere(np.isnan(filled))
+        while unknown.size:
+            means = np.empty(len(unknown), np.float32)
+            run_bands(_bilateral_means, len(unknown), color, filled, unknown, spatial, likeness, means)
+            reached = ~np.isnan(means)
+            if not reached.any():
+                break
+            filled[tuple(unknown[reached].T)] = means[reached]
+            unknown = unknown[~reached]
+        return filled
 
 
 @jit

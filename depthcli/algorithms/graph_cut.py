@@ -8,12 +8,11 @@ import maxflow
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from depthcli.core.maps import Doubles, Ints, Mask
 from depthcli.kernels.jit import empty, helper, jit, zeros
 
 
-def binary_cut(
-    cost_of_true: NDArray[np.float64], p: NDArray[np.int64], q: NDArray[np.int64], capacity: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def binary_cut(cost_of_true: Doubles, p: NDArray[np.int64], q: NDArray[np.int64], capacity: Doubles) -> Mask:
     """Return the labels x that minimize ``sum cost_of_true x + sum capacity (1 - x_p) x_q`` on a graph, (N,) bool.
 
     ``cost_of_true`` (N,) is relative to the cost of false. The (E,) pairs of nodes (p, q) have costs ``capacity`` >= 0.
@@ -25,7 +24,7 @@ def binary_cut(
     if len(p):
         graph.add_edges(p, q, capacity, np.zeros_like(capacity))
     graph.maxflow()
-    labels: NDArray[np.bool_] = graph.get_grid_segments(ids)
+    labels: Mask = graph.get_grid_segments(ids)
     return labels
 
 
@@ -40,9 +39,7 @@ def edge_ends(shape: tuple[int, int], step: tuple[int, int]) -> tuple[tuple[slic
     return (slice(0, max(height - dy, 0)), left), (slice(dy, height), right)
 
 
-def grid_cut(
-    gain_of_true: NDArray[np.floating[Any]], weights: tuple[NDArray[np.floating[Any]], ...]
-) -> NDArray[np.bool_]:
+def grid_cut(gain_of_true: NDArray[np.floating[Any]], weights: tuple[NDArray[np.floating[Any]], ...]) -> Mask:
     """Return the labels x that maximize ``sum gain_of_true x - sum weight |x_p - x_q|`` over pixels with 8 neighbors.
 
     ``gain_of_true`` and the labels are (H, W). There is one array of weights >= 0 for each of :data:`STEPS`, with the
@@ -58,7 +55,7 @@ def grid_cut(
             graph.add_edges(nodes[start].ravel(), nodes[end].ravel(), strength, strength)
     graph.add_grid_tedges(nodes, np.maximum(-gain_of_true, 0.0), np.maximum(gain_of_true, 0.0))
     graph.maxflow()
-    labels: NDArray[np.bool_] = graph.get_grid_segments(nodes)
+    labels: Mask = graph.get_grid_segments(nodes)
     return labels
 
 
@@ -72,7 +69,7 @@ def potts_energy(labels: ArrayLike, unary: ArrayLike, edges: ArrayLike, weights:
 
 def alpha_expansion(
     unary: ArrayLike, edges: ArrayLike, weights: ArrayLike, initial: ArrayLike | None = None, max_sweeps: int = 20
-) -> tuple[NDArray[np.int32], float]:
+) -> tuple[Ints, float]:
     """Return (N,) labels of small Potts energy on a graph, and the energy (Boykov, Veksler and Zabih, PAMI 2001).
 
     Parameters
@@ -97,9 +94,9 @@ def alpha_expansion(
 class _Arcs(NamedTuple):
     # The edges of a graph in both directions; arcs from node n are starts[n] .. starts[n + 1] - 1.
     starts: NDArray[np.int64]
-    end: NDArray[np.int32]
-    reverse: NDArray[np.int32]  # the index of the arc in the opposite direction
-    weight: NDArray[np.float64]
+    end: Ints
+    reverse: Ints  # the index of the arc in the opposite direction
+    weight: Doubles
 
 
 @jit

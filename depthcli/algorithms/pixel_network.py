@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
+from depthcli.core.maps import Floats
 from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.kernels.lanes import WIDE, load_like, maximum, minimum, splat_like, store, wide_zero
 
@@ -15,7 +15,6 @@ INPUT_BOUND = np.float32(4.0)  # standard deviations; scripts/train_choice.py cl
 TILE = 4  # units of a layer that are summed together: their sums stay in registers
 CHUNK = 2048
 """Pixels per task."""
-_Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +38,9 @@ class TrainedNetwork:
 
     maps: tuple[str, ...]
     inputs: tuple[str, ...]
-    mean: NDArray[np.float32]
-    scale: NDArray[np.float32]
-    layers: tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
+    mean: Floats
+    scale: Floats
+    layers: tuple[tuple[Floats, Floats], ...]
     trained_on: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -55,9 +54,7 @@ class TrainedNetwork:
             raise InputError("weights that are not finite")
 
 
-def log_odds(
-    trained: TrainedNetwork, offsets: NDArray[np.float32], planes: NDArray[np.float32], others: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def log_odds(trained: TrainedNetwork, offsets: Floats, planes: Floats, others: Floats) -> Floats:
     """Return the log odds of every pixel, in the shape of a plane, float32.
 
     Parameters
@@ -72,13 +69,13 @@ def log_odds(
     return out[: planes[0].size].reshape(planes.shape[1:])
 
 
-def at_least_wide(planes: NDArray[np.float32]) -> NDArray[np.float32]:
+def at_least_wide(planes: Floats) -> Floats:
     """Return (..., P) planes, padded with zeros to WIDE pixels if they have fewer."""
     missing = max(0, WIDE - planes.shape[-1])
     return np.pad(planes, [(0, 0)] * (planes.ndim - 1) + [(0, missing)]) if missing else planes
 
 
-def kernel_layers(trained: TrainedNetwork) -> tuple[_Array, _Array, _Array, _Array, _Array]:
+def kernel_layers(trained: TrainedNetwork) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return the arrays of the layers, without the first layer's offsets, in the format of :func:`run_layers`."""
     (w1, _), (w2, b2), (w3, b3) = trained.layers
     return _tiled(w1), _tiled(w2), b2, w3.ravel(), b3
@@ -98,7 +95,7 @@ def of_first(trained: TrainedNetwork, count: int) -> TrainedNetwork:
     )
 
 
-def _tiled(weights: NDArray[np.float32]) -> NDArray[np.float32]:
+def _tiled(weights: Floats) -> Floats:
     # Return (units / 4, inputs, 4): weights in the order in which the kernel reads them.
     inputs, units = weights.shape
     return np.ascontiguousarray(weights.reshape(inputs, units // TILE, TILE).transpose(1, 0, 2))

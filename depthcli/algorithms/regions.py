@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.maps import Doubles, Ints, Mask
 from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 
 BAND = 32
@@ -33,7 +34,7 @@ def join(parent, i, j):
         parent[i] = j
 
 
-def _components(color: NDArray[Any], limit: float) -> NDArray[np.int32]:
+def _components(color: NDArray[Any], limit: float) -> Ints:
     # Join pixels inside bands of rows in parallel, then across the borders of the bands.
     parent = np.empty(color.shape[:2], np.int32)
     run_bands(_join_inside, -(-color.shape[0] // BAND), color, limit, parent.ravel())
@@ -100,15 +101,13 @@ class RegionPixels(NamedTuple):
     starts: NDArray[np.int64]  # (n + 1,) int64 start of each region in ``order``
 
     @classmethod
-    def of(
-        cls, labels: NDArray[np.int32], chosen: NDArray[np.bool_] | None = None, count: int | None = None
-    ) -> RegionPixels:
+    def of(cls, labels: Ints, chosen: Mask | None = None, count: int | None = None) -> RegionPixels:
         """Return the pixels of an (H, W) label map by label: all pixels, or only the ``chosen`` ones, (H, W) bool."""
         count = int(labels.max()) + 1 if count is None else count
         chosen = np.ones(labels.shape, np.bool_) if chosen is None else chosen
         return cls(*_counting_sort(np.ascontiguousarray(labels).ravel(), np.ascontiguousarray(chosen).ravel(), count))
 
-    def divided(self, chosen: NDArray[np.bool_]) -> tuple[RegionPixels, RegionPixels]:
+    def divided(self, chosen: Mask) -> tuple[RegionPixels, RegionPixels]:
         """Return the ``chosen`` pixels, (H, W) bool, and the others."""
         order, starts, other_order, other_starts = _divided(self.order, self.starts, chosen.ravel())
         return RegionPixels(order, starts), RegionPixels(other_order, other_starts)
@@ -150,7 +149,7 @@ def _counting_sort(labels, chosen, count):
     return order, starts
 
 
-def connected_components(color: NDArray[Any], max_distance: float) -> NDArray[np.int32]:
+def connected_components(color: NDArray[Any], max_distance: float) -> Ints:
     """Return labels of the connected regions of similar color in an (H, W, C) image of integers, at most int32.
 
     4-neighbors whose Euclidean color distance is at most ``max_distance`` belong to the same region. Labels count from
@@ -159,7 +158,7 @@ def connected_components(color: NDArray[Any], max_distance: float) -> NDArray[np
     return _components(np.ascontiguousarray(color, np.int32), max_distance * max_distance)
 
 
-def connected_components_of_labels(labels: NDArray[np.int32]) -> NDArray[np.int32]:
+def connected_components_of_labels(labels: Ints) -> Ints:
     """Return labels of the 4-connected pieces of equal value in an (H, W) int32 map, in raster order."""
     return _components(np.ascontiguousarray(labels)[..., None], 0.0)
 
@@ -169,17 +168,17 @@ class RegionGraph:
     """The regions of a label map and their neighborhood."""
 
     sizes: NDArray[np.int64]  # (N,) int64 pixels of every region
-    edges: NDArray[np.int32]  # (E, 2) int32 pairs i < j of 4-neighboring regions, sorted
+    edges: Ints  # (E, 2) int32 pairs i < j of 4-neighboring regions, sorted
     boundary: NDArray[np.int64]  # (E,) int64 number of 4-neighbor pixel pairs along the common boundary
-    sums: NDArray[np.float64]  # (N, C) float64 color sum of every region
+    sums: Doubles  # (N, C) float64 color sum of every region
 
     @property
-    def means(self) -> NDArray[np.float64]:
+    def means(self) -> Doubles:
         """Mean color of every region, (N, C) float64."""
         return self.sums / np.maximum(self.sizes, 1)[:, None]
 
     @property
-    def distances(self) -> NDArray[np.float64]:
+    def distances(self) -> Doubles:
         """Squared distance between the mean colors of each edge's two regions, (E,) float64."""
         first, second = self.edges.T
         # By channels, since gathering and summing rows of three numbers is slow.
@@ -187,10 +186,16 @@ class RegionGraph:
         return np.asarray(sum(np.square(channel[first] - channel[second]) for channel in channels), np.float64)
 
 
-def region_graph(labels: NDArray[np.int32], image: NDArray[Any]) -> RegionGraph:
+def region_sums(labels: Ints, image: NDArray[Any], count: int) -> tuple[NDArray[np.int64], Doubles]:
+    """Return the pixels of each region 0 .. count - 1, (count,), and the sums of (H, W[, C]) ``image``, (count, C)."""
+    sizes, sums = _sums(labels.ravel(), image.reshape(labels.size, -1), count)
+    return sizes, sums
+
+
+def region_graph(labels: Ints, image: NDArray[Any]) -> RegionGraph:
     """Return the graph of the regions of ``labels`` (H, W), 0 .. n - 1, over ``image`` (H, W) or (H, W, C)."""
     count = int(labels.max()) + 1 if labels.size else 0
-    sizes, sums = _sums(labels.ravel(), image.reshape(labels.size, -1), count)
+    sizes, sums = region_sums(labels, image, count)
     edges, boundary = _edges(*region_adjacency(labels, count))
     return RegionGraph(sizes, edges, boundary, sums)
 
@@ -224,9 +229,7 @@ def _edges(starts, neighbors, boundary):
     return edges, lengths
 
 
-def merge_small_regions(
-    labels: NDArray[np.int32], image: NDArray[Any], min_size: int, by_boundary: bool = False
-) -> NDArray[np.int32]:
+def merge_small_regions(labels: Ints, image: NDArray[Any], min_size: int, by_boundary: bool = False) -> Ints:
     """Join every region of fewer than ``min_size`` pixels to the neighbor with the most similar mean color.
 
     Regions join in rounds until all are large enough, or no region has a neighbor to join. With ``by_boundary``, a
@@ -234,7 +237,7 @@ def merge_small_regions(
     Labels are (H, W) int32, from 0 on.
     """
     count = int(labels.max()) + 1
-    sizes, sums = _sums(labels.ravel(), image.reshape(labels.size, -1), count)
+    sizes, sums = region_sums(labels, image, count)
     means = sums / np.maximum(sizes, 1)[:, None]
     starts, neighbors, boundary = region_adjacency(labels, count)
     # The first member represents a merged region; the other members follow in a linked list.
@@ -247,7 +250,7 @@ def merge_small_regions(
             _find_targets, BAND, small, means, parent, following, starts, neighbors, boundary, by_boundary, target
         )
         if not (target >= 0).any():
-            number: NDArray[np.int32] = consecutive(parent)
+            number: Ints = consecutive(parent)
             return number[labels]
         small = _join_targets(small, target, sizes, sums, means, parent, following, last, min_size)
 

@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.maps import Doubles, Floats
 from depthcli.kernels.jit import jit, run_bands
 
 
-def trilinear(volume: NDArray[np.float32], coordinates: NDArray[np.float64]) -> NDArray[np.float32]:
+def trilinear(volume: Floats, coordinates: Doubles) -> Floats:
     """Return trilinear samples of a (Z, Y, X) volume at (N, 3) coordinates z, y, x in voxels, with repeated borders."""
     top = np.array(volume.shape) - 1
     inside = np.clip(coordinates, 0, top)
@@ -26,7 +27,7 @@ def trilinear(volume: NDArray[np.float32], coordinates: NDArray[np.float64]) -> 
     return total.astype(np.float32)
 
 
-def nearest(volume: NDArray[np.float32], coordinates: NDArray[np.float64]) -> NDArray[np.float32]:
+def nearest(volume: Floats, coordinates: Doubles) -> Floats:
     """Return the values of a (Z, Y, X) volume nearest to (N, 3) coordinates z, y, x in voxels; NaN outside."""
     index = np.rint(coordinates).astype(np.int64)
     inside = np.all((index >= 0) & (index < np.array(volume.shape)), axis=1)
@@ -35,7 +36,7 @@ def nearest(volume: NDArray[np.float32], coordinates: NDArray[np.float64]) -> ND
     return sampled
 
 
-def block_means(volume: NDArray[Any], block: tuple[int, int, int]) -> NDArray[np.float32]:
+def block_means(volume: NDArray[Any], block: tuple[int, int, int]) -> Floats:
     """Return the mean of every block of (z, y, x) voxels of a volume; the last block along an axis may be smaller."""
     if max(block) == 1:
         return volume.astype(np.float32, copy=False)
@@ -59,9 +60,7 @@ def shifted(volume: NDArray[Any], offset: Sequence[int]) -> NDArray[Any]:
     return volume
 
 
-def resample(
-    volume: NDArray[np.float32], shape: Sequence[int], step: Sequence[float], start: Sequence[float]
-) -> NDArray[np.float32]:
+def resample(volume: Floats, shape: Sequence[int], step: Sequence[float], start: Sequence[float]) -> Floats:
     """Return trilinear samples of a (Z, Y, X) volume on a regular grid of ``shape``, borders repeated; float32.
 
     ``step`` and ``start`` are the distance of the samples and the position of the first one along z, y, x, in voxels.
@@ -78,7 +77,7 @@ def resample(
     return np.ascontiguousarray(volume, np.float32)
 
 
-def gaussian(volume: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+def gaussian(volume: Floats, sigma: float) -> Floats:
     """Smooth with a Gaussian of ``sigma`` voxels, cut at 3 sigma, repeating borders; not along axes of one voxel."""
     radius = int(np.ceil(3 * sigma))
     if radius == 0:

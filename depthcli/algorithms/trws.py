@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from depthcli.core.maps import Floats, Ints, Mask
 from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 
 _BAND = 24  # rows that a task visits in order; any number is valid, this one keeps all cores busy
 
 
 def trws(
-    values: NDArray[np.float32],
-    unary: NDArray[np.float32],
-    active: NDArray[np.bool_],
-    weights: NDArray[np.float32],
+    values: Floats,
+    unary: Floats,
+    active: Mask,
+    weights: Floats,
     truncation: float,
     iterations: int = 10,
-) -> NDArray[np.int32]:
+) -> Ints:
     """Choose one candidate per pixel so that ``sum unary + sum weight min(|v_p - v_q|, truncation)`` is small.
 
     The pairs (p, q) are neighbors among the active pixels: eight per pixel, or four if the weights of the diagonals

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.keypoints import KeyPoints
-from depthcli.methods.stereo.keypoint_matching import match_rectified
+from depthcli.methods.stereo.keypoint_matching import KeyPointMatching
 from tests.naive import segments as naive
 
 
@@ -26,10 +26,10 @@ def _points(rng, count, rows=4):
 def test_agrees_with_the_naive_matcher(counts, ratio):
     rng = np.random.default_rng(sum(counts))
     left, right = _points(rng, counts[0]), _points(rng, counts[1])
-    settings = dict(max_row_difference=0.5, ratio=ratio, max_distance=0.9, max_scale_ratio=1.1)
-    found = match_rectified(left, right, 20, **settings)
+    settings = dict(ratio=ratio, max_distance=0.9, max_scale_ratio=1.1)
+    found = KeyPointMatching(**settings, agreeing=0)(left, right, 20)
     pairs = set(zip(found.left.tolist(), found.right.tolist(), strict=True))
-    assert pairs == naive.matches(left, right, 20, **settings)
+    assert pairs == naive.matches(left, right, 20, 0.5, **settings)
     assert np.array_equal(found.disparity, left.x[found.left] - right.x[found.right])
 
 
@@ -42,7 +42,8 @@ def test_repetition_is_rejected():
         ones = np.ones(n, np.float32)
         return KeyPoints(np.array(xs, np.float32), ones, ones, ones, np.ones(n, np.int8), one.repeat(n, axis=0))
 
-    assert len(match_rectified(at(30), at(20), 20)) == 1
-    assert len(match_rectified(at(30), at(20, 14), 20)) == 0
-    assert len(match_rectified(at(30), at(20, 5), 20)) == 1  # the second is out of range
-    assert len(match_rectified(at(30), at(20, 19), 20)) == 1
+    match = KeyPointMatching(agreeing=0)
+    assert len(match(at(30), at(20), 20)) == 1
+    assert len(match(at(30), at(20, 14), 20)) == 0
+    assert len(match(at(30), at(20, 5), 20)) == 1  # the second is out of range
+    assert len(match(at(30), at(20, 19), 20)) == 1

@@ -22,19 +22,6 @@ def _scattered(seed, shape, count):
     return Samples(rows.astype(np.int32), columns.astype(np.int32), values.astype(np.float32))
 
 
-@pytest.mark.parametrize(("shape", "count"), [((1, 1), 1), ((1, 30), 7), ((25, 3), 9), ((9, 13), 40), ((9, 13), 117)])
-@pytest.mark.parametrize("neighbors", [1, 5, 24])
-@pytest.mark.parametrize("skip_own", [False, True])
-def test_neighbors_are_the_nearest(shape, count, neighbors, skip_own):
-    samples = _scattered(1, shape, count)
-    rows, columns = _pixels(shape)
-    found = samples.nearest((rows, columns), neighbors, shape, skip_own)
-    for p in range(rows.size):
-        expected = naive.nearest(samples.rows, samples.columns, rows[p], columns[p], neighbors, skip_own)
-        np.testing.assert_array_equal(found[p, : len(expected)], expected)
-        assert (found[p, len(expected) :] == -1).all()
-
-
 @pytest.mark.parametrize("skip_own", [False, True])
 def test_the_fit_agrees_with_the_reference(skip_own):
     shape = (24, 31)

@@ -17,10 +17,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from depthcli.algorithms.dense_crf.permutohedral import BAND, Lattice, blur
 from depthcli.core import memory
+from depthcli.core.maps import Floats, Ints
 from depthcli.kernels.jit import helper, jit, run_bands, zeros
 from depthcli.kernels.lanes import LANES, exp_minus, lane_min, lane_sum, load, minimum, splat, store
 
@@ -32,13 +32,11 @@ _NEVER = np.float32(1e30)  # energy of the labels that pad the last vector
 class GaussianKernel(NamedTuple):
     """A Gaussian kernel, through which close points influence each other."""
 
-    features: NDArray[np.float32]  # (N, d) float32, 1 <= d <= 8, each divided by its standard deviation
+    features: Floats  # (N, d) float32, 1 <= d <= 8, each divided by its standard deviation
     weight: float  # factor w_m of the kernel in the energy, >= 0
 
 
-def mean_field(
-    unary: NDArray[np.float32], kernels: Sequence[GaussianKernel], truncation: int, iterations: int = 5
-) -> NDArray[np.float32]:
+def mean_field(unary: Floats, kernels: Sequence[GaussianKernel], truncation: int, iterations: int = 5) -> Floats:
     """Return approximate marginals (N, L) of every label at every point, the same bytes for any number of threads.
 
     Energies ``unary`` (N, L) are finite. ``truncation`` is T; T = 1 is the Potts model. The first step starts from
@@ -55,8 +53,8 @@ def mean_field(
     # point. ``weights`` include the normalization and the square root of the kernel's weight, so that spreading,
     # reading and adding all columns gives the message. ``own`` is a point's message to itself, to be subtracted.
     corners = sum(lattice.slots.shape[1] for lattice in lattices)
-    slots: NDArray[np.int32] = memory.empty((count, corners), np.int32)
-    weights: NDArray[np.float32] = memory.empty((count, corners), np.float32)
+    slots: Ints = memory.empty((count, corners), np.int32)
+    weights: Floats = memory.empty((count, corners), np.float32)
     own = np.zeros(count, np.float32)
     # ``rows``: the row of every slot in arrays of all vertices, in which a row of zeros follows each lattice. ``bands``
     # (B, 2 K): the slots of a band in each of the K lattices, as first and last + 1.
@@ -72,7 +70,7 @@ def mean_field(
         slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
         column += lattice.slots.shape[1]
     partial, near, far = (_aligned(size * width) for size in (slot, row, row))
-    q: NDArray[np.float32] = memory.empty((count, width), np.float32)
+    q: Floats = memory.empty((count, width), np.float32)
     arrays = np.ascontiguousarray(unary).reshape(-1), q.reshape(-1), near
     graph = slots.reshape(-1), np.concatenate(rows), weights.reshape(-1), corners, own
     limits = min(truncation, labels), np.concatenate(bands, axis=1), width
@@ -86,9 +84,9 @@ def mean_field(
     return q if width == labels else np.ascontiguousarray(q[:, :labels])
 
 
-def _aligned(size: int) -> NDArray[np.float32]:
+def _aligned(size: int) -> Floats:
     # Return an uninitialized float32 array that starts at a cache line.
-    block: NDArray[np.float32] = memory.empty((size + 16,), np.float32)
+    block: Floats = memory.empty((size + 16,), np.float32)
     skip = -(block.ctypes.data // 4) % 16
     return block[skip : skip + size]
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core import memory
+from depthcli.core.maps import Doubles, Floats, Ints
 from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 from depthcli.kernels.lanes import LANES, load, splat, store
 
@@ -28,18 +29,18 @@ class Lattice:
     Therefore no two threads write to the same memory, and the order of sums does not depend on the number of threads.
     """
 
-    slots: NDArray[np.int32]  # (N, d + 1) int32, slots of the vertices of a point's simplex
-    weights: NDArray[np.float32]  # (N, d + 1) float32, barycentric weights of these vertices; sum 1
-    vertex: NDArray[np.int32]  # (T,) int32, vertex of every slot
+    slots: Ints  # (N, d + 1) int32, slots of the vertices of a point's simplex
+    weights: Floats  # (N, d + 1) float32, barycentric weights of these vertices; sum 1
+    vertex: Ints  # (T,) int32, vertex of every slot
     first_slot: NDArray[np.int64]  # (B + 1,) int64, slots of band b are ``first_slot[b] .. first_slot[b + 1] - 1``
     # (T,) int32 and (V + 1,) int64: slots of vertex v are ``order[first[v] : first[v + 1]]``, ascending
-    order: NDArray[np.int32]
+    order: Ints
     first: NDArray[np.int64]
     # (d + 1, 2, V) int32, the two neighbors of a vertex along every axis; V = none
-    neighbors: NDArray[np.int32]
+    neighbors: Ints
 
     @classmethod
-    def of(cls, features: NDArray[np.float32]) -> Lattice:
+    def of(cls, features: Floats) -> Lattice:
         """Return the lattice around points with ``features`` (N, d), d <= 8, in standard deviations of the Gaussian.
 
         ValueError: features are not finite, or span more lattice cells than 63 bits can number (more than a few hundred
@@ -54,8 +55,8 @@ class Lattice:
         i = np.arange(d)
         scales = np.sqrt(2.0 / 3.0) * (d + 1) / np.sqrt((i + 1.0) * (i + 2.0))
         shifts = _bits(low * scales, high * scales)
-        slots: NDArray[np.int32] = memory.empty((count, d + 1), np.int32)
-        weights: NDArray[np.float32] = memory.empty((count, d + 1), np.float32)
+        slots: Ints = memory.empty((count, d + 1), np.int32)
+        weights: Floats = memory.empty((count, d + 1), np.float32)
         sizes = np.zeros(bands, np.int64)
         capacity = 8192
         while True:  # repeat with more room if a band has more vertices than ``capacity``
@@ -80,7 +81,7 @@ class Lattice:
         """Number V of vertices."""
         return int(self.first.size - 1)
 
-    def own_share(self, density: NDArray[np.float32]) -> NDArray[np.float32]:
+    def own_share(self, density: Floats) -> Floats:
         """Return the weight of every point's own value in its filtered value, (N,) float32.
 
         Two vertices of a simplex that are k steps apart are one step back along k axes, or one step forward along all
@@ -100,7 +101,7 @@ class Lattice:
         )  # fmt: skip
         return result
 
-    def filter(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def filter(self, values: Floats) -> Floats:
         """Return (N, C) float32 ``values``, blurred by a Gaussian with value about ``1 + 2^-d`` at distance 0."""
         width = -(-values.shape[1] // LANES) * LANES
         sizes = (self.vertex.size, self.vertices + 1, self.vertices + 1)
@@ -115,9 +116,7 @@ class Lattice:
         return result
 
 
-def blur(
-    lattice: Lattice, width: int, partial: NDArray[np.float32], near: NDArray[np.float32], far: NDArray[np.float32]
-) -> None:
+def blur(lattice: Lattice, width: int, partial: Floats, near: Floats, far: Floats) -> None:
     """Sum the T rows of values in slots by vertex, blur the sums, and write them to the V + 1 rows of ``near``.
 
     The last row becomes 0, for missing vertices. ``far`` is scratch memory of the same size.
@@ -135,7 +134,7 @@ def blur(
         source, target = target, source
 
 
-def _bits(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.int64]:
+def _bits(low: Doubles, high: Doubles) -> NDArray[np.int64]:
     # Return offset and bit position of every coordinate in a vertex's key, (d, 2) int64. A vertex is (d + 1) q + r,
     # with the same r in all coordinates. Its coordinates sum to 0, so r and q of the first d coordinates determine it.
     # r takes 4 bits.

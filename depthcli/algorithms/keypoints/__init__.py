@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.maps import Floats, Image8
 from depthcli.core.method import Method, method_of
 
 
@@ -17,13 +18,13 @@ class KeyPoints:
     """Key points of one image, strongest first."""
 
     # (N,) float32 position, pixels; the center of the first pixel is (0, 0)
-    x: NDArray[np.float32]
-    y: NDArray[np.float32]
-    scale: NDArray[np.float32]  # (N,) float32 standard deviation of the blob's Gaussian, pixels
-    response: NDArray[np.float32]  # (N,) float32 strength, in the detector's unit
+    x: Floats
+    y: Floats
+    scale: Floats  # (N,) float32 standard deviation of the blob's Gaussian, pixels
+    response: Floats  # (N,) float32 strength, in the detector's unit
     # (N,) int8 +1 for dark blobs on a light background, -1 for the reverse, 0 if the detector does not distinguish them
     sign: NDArray[np.int8]
-    descriptors: NDArray[np.float32]  # (N, K) float32, rows of length 1
+    descriptors: Floats  # (N, K) float32, rows of length 1
 
     def __len__(self) -> int:
         return len(self.x)
@@ -33,7 +34,7 @@ class Detector(Method):
     """A detector of key points that also computes their descriptors."""
 
     @abstractmethod
-    def __call__(self, image: NDArray[np.uint8]) -> KeyPoints:
+    def __call__(self, image: Image8) -> KeyPoints:
         """Return the key points of an (H, W) uint8 grey image, possibly none; deterministic."""
 
 

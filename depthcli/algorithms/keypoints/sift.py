@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.keypoints import Detector, KeyPoints
+from depthcli.core.maps import Image8
 
 
 class Sift(Detector):
@@ -16,7 +16,7 @@ class Sift(Detector):
     contrast_threshold: float = Field(0.04, gt=0, le=1, description="smallest contrast of an extremum, OpenCV's unit")
     edge_threshold: float = Field(10.0, ge=1, le=1e4, description="largest ratio of the principal curvatures")
 
-    def __call__(self, image: NDArray[np.uint8]) -> KeyPoints:
+    def __call__(self, image: Image8) -> KeyPoints:
         sift = cv2.SIFT.create(contrastThreshold=self.contrast_threshold, edgeThreshold=self.edge_threshold)
         points, descriptors = sift.detectAndCompute(np.ascontiguousarray(image), None)
         table = np.array([(*p.pt, p.size / 2, p.response) for p in points], np.float32).reshape(-1, 4)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.keypoints import Detector, KeyPoints
+from depthcli.core.maps import Doubles, Floats, Image8
 from depthcli.kernels.jit import empty, helper, jit, run_bands
 
 _LAYERS = 4  # filter sizes of an octave, as in the paper
@@ -24,7 +24,7 @@ class Surf(Detector):
     threshold: float = Field(5e-6, gt=0, le=1, description="smallest Hessian determinant, image values in [0, 1]")
     octaves: int = Field(2, ge=1, le=6, description="number of octaves (doublings of scale) that are searched")
 
-    def __call__(self, image: NDArray[np.uint8]) -> KeyPoints:
+    def __call__(self, image: Image8) -> KeyPoints:
         grey = np.ascontiguousarray(image, dtype=np.float32) / np.float32(255)
         # Zero mean keeps the sums small and their differences exact enough.
         integral = np.ascontiguousarray(cv2.integral(grey - grey.mean(), sdepth=cv2.CV_64F))
@@ -37,7 +37,7 @@ class Surf(Detector):
         x, y, scale, response, sign = points.T.copy()
         return KeyPoints(x, y, scale, response, sign.astype(np.int8), descriptors)
 
-    def _octave(self, integral: NDArray[np.float64], octave: int) -> NDArray[np.float32]:
+    def _octave(self, integral: Doubles, octave: int) -> Floats:
         # Return the key points of one octave, (N, 5) float32: x, y, scale, response, sign.
         step = 1 << octave
         sizes = [3 * ((2 << octave) * (layer + 1) + 1) for layer in range(_LAYERS)]  # 9, 15, 21, 27 in octave 0

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from pydantic import Field
 
 from depthcli.algorithms.plane_fitting import least_squares
 from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA, huber_weight, smallest
 from depthcli.algorithms.regions import RegionPixels
+from depthcli.core.maps import Doubles, Floats, Ints
+from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import empty, helper, jit, run_bands
 
 # Values of the published preset refine-kinect dsrm; nothing in the repository varies them.
@@ -20,92 +22,77 @@ _GOLDEN_RATIO = 0.6180339887498949  # its multiples modulo 1 are evenly spread
 _SCALE_SAMPLES = 100  # number of residuals for the estimate of the scale
 
 
-@dataclass(frozen=True)
-class Surfaces:
+class Surfaces(NamedTuple):
     """One surface for each of n segments, in the unit of the fitted values."""
 
     # (n, 6) float64, for 1, x, y, x^2, xy, y^2, with x and y in pixels from ``center``, divided by ``unit``
-    coefficients: NDArray[np.float64]
-    center: NDArray[np.float64]  # (n, 2) float64, y and x, pixels
+    coefficients: Doubles
+    center: Doubles  # (n, 2) float64, y and x, pixels
     # (n, 2) float32, smallest and largest value of the surface; values are clipped to them
-    bounds: NDArray[np.float32]
-    scale: NDArray[np.float32]  # (n,) float32, robust standard deviation of the residuals; NaN if no pixel was known
+    bounds: Floats
+    scale: Floats  # (n,) float32, robust standard deviation of the residuals; NaN if no pixel was known
     unit: float  # unit of x and y, pixels
 
-    def at(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
+    def at(self, labels: Ints) -> Floats:
         """Return the value of each pixel's surface, given its label; (H, W) float32, NaN for negative labels."""
         values = np.empty(labels.shape, np.float32)
-        run_bands(_evaluate, len(labels), labels, self.coefficients, self.center, self.bounds, self.unit, values)
+        run_bands(_evaluate, len(labels), labels, self, values)
         return values
 
 
 @helper
-def surface_at(coefficients, center, bounds, unit, s, y, x):
-    """Return the value of surface ``s`` at (y, x), given the arrays of :class:`Surfaces`."""
-    u = (x - center[s, 1]) / unit
-    v = (y - center[s, 0]) / unit
-    value = (
-        coefficients[s, 0]
-        + u * (coefficients[s, 1] + u * coefficients[s, 3])
-        + v * (coefficients[s, 2] + u * coefficients[s, 4] + v * coefficients[s, 5])
-    )
+def surface_at(surfaces, s, y, x):
+    """Return the value of surface ``s`` of :class:`Surfaces` at (y, x)."""
+    beta, center, bounds = surfaces.coefficients, surfaces.center, surfaces.bounds
+    u = (x - center[s, 1]) / surfaces.unit
+    v = (y - center[s, 0]) / surfaces.unit
+    value = beta[s, 0] + u * (beta[s, 1] + u * beta[s, 3]) + v * (beta[s, 2] + u * beta[s, 4] + v * beta[s, 5])
     return min(max(value, np.float64(bounds[s, 0])), np.float64(bounds[s, 1]))
 
 
 @jit
-def _evaluate(begin, end, labels, coefficients, center, bounds, unit, values):
+def _evaluate(begin, end, labels, surfaces, values):
     width = labels.shape[1]
     for y in range(begin, end):
         for x in range(width):
             s = labels[y, x]
             value = np.nan
             if s >= 0:
-                value = surface_at(coefficients, center, bounds, unit, np.int64(s), float(y), float(x))
+                value = surface_at(surfaces, np.int64(s), float(y), float(x))
             values[y, x] = value
 
 
-def fit_polynomials(
-    values: NDArray[np.float32],
-    labels: NDArray[np.int32],
-    start: Surfaces | None,
-    degree: int,
-    huber: float,
-    iterations: int,
-    warm_iterations: int,
-    samples: int,
-    floor: float,
-) -> Surfaces:
-    """Fit a polynomial to the known values of every segment, by least squares with Huber's weights.
+class Polynomial(ConfigModel):
+    """Polynomials of inverse depth in (x, y), fitted to every segment by reweighted least squares (Huber)."""
 
-    Parameters
-    ----------
-    values : (H, W), NaN = unknown
-    labels : (H, W), 0 .. n - 1; -1: in no segment
-    start : n initial surfaces, or None; a segment with fewer than 30 known pixels keeps its fitted initial surface
-    degree : largest degree; segments with fewer than 100 known pixels have at most 1, with fewer than 30 always 0
-    huber : a residual of u > huber scales has the weight huber / u; inf: plain least squares
-    iterations, warm_iterations : largest number of reweightings for a new surface, and for an initial one
-    samples : largest number of pixels used per segment, evenly spread
-    floor : smallest scale of residuals, e.g. the sensor's resolution
-    """
-    if start is None:
-        count, nan = int(labels.max()) + 1, np.float32(np.nan)
-        bounds, scale = np.full((count, 2), nan), np.full(count, nan)
-        start = Surfaces(np.zeros((count, 6)), np.full((count, 2), np.nan), bounds, scale, float(max(labels.shape)))
-    fitted = copy.deepcopy(start)
-    known = RegionPixels.of(labels, (labels >= 0) & ~np.isnan(values), len(fitted.scale))
-    surfaces = (fitted.coefficients, fitted.center, fitted.bounds, fitted.scale, fitted.unit)
-    turns = (iterations, warm_iterations)
-    run_bands(
-        _fit, known.starts.size - 1, known.order, known.starts, values, *surfaces, degree, huber, *turns, floor, samples
-    )
-    return fitted
+    method: Literal["polynomial"] = Field("polynomial", description="name of the model")
+    degree: int = Field(1, ge=0, le=2, description="of the polynomial; at most 1 below 100 known pixels, 0 below 30")
+    huber: float | None = Field(1.345, gt=0, description="residuals of u > k scales weigh k / u; null: least squares")
+    iterations: int = Field(20, ge=1, le=100, description="largest number of reweightings, without a previous frame")
+    warm_iterations: int = Field(2, ge=1, le=100, description="reweightings from the surfaces of the previous frame")
+    samples: int = Field(400, ge=100, description="largest number of pixels per segment that are used, evenly spread")
+
+    def __call__(self, values: Floats, labels: Ints, floor: float, start: Surfaces | None = None) -> Surfaces:
+        """Fit a surface to the known ``values`` (H, W), NaN = unknown, in each segment.
+
+        ``labels`` is (H, W), 0 .. n - 1, -1 = no segment. ``floor`` is the smallest scale of residuals, e.g. the
+        sensor's resolution. ``start`` are n initial surfaces, such as the previous frame's for the same segments;
+        a segment with fewer than 30 known pixels keeps its initial surface.
+        """
+        if start is None:
+            count, nan = int(labels.max()) + 1, np.float32(np.nan)
+            bounds, scale = np.full((count, 2), nan), np.full(count, nan)
+            start = Surfaces(np.zeros((count, 6)), np.full((count, 2), np.nan), bounds, scale, float(max(labels.shape)))
+        fitted = copy.deepcopy(start)
+        known = RegionPixels.of(labels, (labels >= 0) & ~np.isnan(values), len(fitted.scale))
+        limits = self.degree, self.huber or np.inf, self.iterations, self.warm_iterations, floor, self.samples
+        run_bands(_fit, known.starts.size - 1, known.order, known.starts, values, fitted, *limits)
+        return fitted
 
 
 @jit
-def _fit(
-    begin, end, order, begins, values, beta, center, bounds, scale, unit, degree, huber, cold, warm, floor, samples
-):
+def _fit(begin, end, order, begins, values, surfaces, degree, huber, cold, warm, floor, samples):
+    beta, center, bounds, scale, unit = surfaces
     for s in range(begin, end):
         known = begins[s + 1] - begins[s]
         new = np.isnan(center[s, 0])

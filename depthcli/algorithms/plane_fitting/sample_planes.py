@@ -6,14 +6,15 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.algorithms.nearest import nearest_points
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
+from depthcli.core.maps import Floats, Image8, Ints, Mask
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import empty, helper, jit, run_bands
 
-Pixels = tuple[NDArray[np.int32], NDArray[np.int32]]
+Pixels = tuple[Ints, Ints]
 """Rows and columns of P pixels, (P,) each."""
 
 
@@ -22,55 +23,37 @@ class Samples:
     """Values at M pixels of a map."""
 
     # (M,) int32
-    rows: NDArray[np.int32]
-    columns: NDArray[np.int32]
-    values: NDArray[np.float32]  # (M,) float32
+    rows: Ints
+    columns: Ints
+    values: Floats  # (M,) float32
 
     @classmethod
-    def of(cls, values: NDArray[np.float32]) -> Samples:
+    def of(cls, values: Floats) -> Samples:
         """Return the samples at all finite pixels of an (H, W) float32 map."""
         rows, columns = (axis.astype(np.int32) for axis in np.nonzero(np.isfinite(values)))
         return cls(rows, columns, values[rows, columns])
 
-    def chosen(self, keep: NDArray[np.bool_]) -> Samples:
+    def chosen(self, keep: Mask) -> Samples:
         """Return the samples where ``keep`` (M,) is true."""
         return Samples(self.rows[keep], self.columns[keep], self.values[keep])
 
-    def distance(self, shape: tuple[int, int]) -> NDArray[np.float32]:
+    def distance(self, shape: tuple[int, int]) -> Floats:
         """Return the distance of every pixel of a map of ``shape`` (H, W) from the nearest sample, pixels."""
         blank = np.ones(shape, np.uint8)
         blank[self.rows, self.columns] = 0
         return np.asarray(cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)
-
-    def nearest(self, at: Pixels, count: int, shape: tuple[int, int], skip_own: bool = False) -> NDArray[np.int32]:
-        """Return the (P, count) indices of the samples nearest to the pixels ``at`` of a map of ``shape``.
-
-        The nearest is first; ties are in the order of the samples. If there are fewer samples, the last columns are -1.
-        ``skip_own`` leaves out a sample at the pixel itself.
-        """
-        height, width = shape
-        # Cells with about two samples each.
-        side = max(1, int(np.sqrt(2.0 * height * width / max(1, self.rows.size))))
-        across, down = -(-width // side), -(-height // side)
-        cell = (self.rows // side).astype(np.int64) * across + self.columns // side
-        order = np.argsort(cell, kind="stable").astype(np.int32)
-        first = np.searchsorted(cell[order], np.arange(across * down + 1))
-        nearest = np.full((at[0].size, count), -1, np.int32)
-        grid = order, first, side, across, down
-        run_bands(_nearest, len(nearest), self.rows[order], self.columns[order], *grid, *at, skip_own, nearest)
-        return nearest
 
 
 @dataclass(frozen=True)
 class SamplePlanes:
     """Planes through samples, evaluated at P pixels; all (P,) float32."""
 
-    values: NDArray[np.float32]  # in the unit of the samples; NaN if there is no sample
+    values: Floats  # in the unit of the samples; NaN if there is no sample
     # standard deviation of the values: deviations of the plane, and of the surface from the plane, in quadrature
-    sigma: NDArray[np.float32]
-    confidence: NDArray[np.float32]  # weighted share in [0, 1] of the neighboring samples that agree with the plane
+    sigma: Floats
+    confidence: Floats  # weighted share in [0, 1] of the neighboring samples that agree with the plane
     # weighted mean of the property ``to_average`` over the agreeing samples; 0 without such a property
-    averaged: NDArray[np.float32]
+    averaged: Floats
 
 
 class SamplePlaneFit(ConfigModel):
@@ -91,11 +74,11 @@ class SamplePlaneFit(ConfigModel):
     def __call__(
         self,
         samples: Samples,
-        image: NDArray[np.uint8],
+        image: Image8,
         noise: float,
         at: Pixels,
         skip_own: bool = False,
-        to_average: NDArray[np.float32] | None = None,
+        to_average: Floats | None = None,
     ) -> SamplePlanes:
         """Fit a plane at each of P pixels.
 
@@ -106,12 +89,11 @@ class SamplePlaneFit(ConfigModel):
         skip_own : leave out a sample at the pixel itself
         to_average : property of the M samples for the means in ``averaged``
         """
-        shape = image.shape[0], image.shape[1]
-        nearest = samples.nearest(at, self.neighbors, shape, skip_own)
+        nearest = nearest_points(at[1], at[0], samples.columns, samples.rows, self.neighbors, skip_own)
         values, sigma = (np.full(at[0].size, np.nan, np.float32) for _ in range(2))
         confidence, averaged = (np.zeros(at[0].size, np.float32) for _ in range(2))
         marks = np.zeros(samples.values.size, np.float32) if to_average is None else to_average
-        color_rate, slope = 1.0 / (2.0 * self.color_scale**2), self.slope / shape[1]
+        color_rate, slope = 1.0 / (2.0 * self.color_scale**2), self.slope / image.shape[1]
         scales = (np.float32(max(noise, 1e-9)), np.float32(color_rate), np.float32(slope))
         given = (nearest, samples.rows, samples.columns, samples.values, image, *at, *scales, self.steps, marks)
         run_bands(_fit, len(values), *given, values, sigma, confidence, averaged)
@@ -120,25 +102,9 @@ class SamplePlaneFit(ConfigModel):
 
 @jit
 def _fit(
-    begin,
-    end,
-    nearest,
-    rows,
-    columns,
-    values,
-    image,
-    at_y,
-    at_x,
-    noise,
-    color_rate,
-    slope,
-    steps,
-    marks,
-    out,
-    sigma,
-    share,
-    mark,
-):
+    begin, end, nearest, rows, columns, values, image, at_y, at_x, noise, color_rate, slope, steps, marks,
+    out, sigma, share, mark,
+):  # fmt: skip
     for p in range(begin, end):
         count = 0
         while count < nearest.shape[1] and nearest[p, count] >= 0:
@@ -232,51 +198,3 @@ def _plane(dx, dy, v, w, m, total, noise, steep, start, steps):
             marked += w[k] * m[k]
     off = steep * away / inside
     return a, np.sqrt(noise * noise * variance + off * off), inside / total, marked / inside
-
-
-@jit
-def _nearest(begin, end, rows, columns, order, first, side, across, down, at_rows, at_columns, skip_own, nearest):
-    count = nearest.shape[1]
-    for p in range(begin, end):
-        y, x = at_rows[p], at_columns[p]
-        cy, cx = y // side, x // side
-        best = np.full(count, np.int64(1) << np.int64(62), np.int64)
-        have = 0
-        ring = 0
-        while ring <= max(across, down):
-            for v in range(max(0, cy - ring), min(down, cy + ring + 1)):
-                step = 1 if abs(v - cy) == ring else max(1, 2 * ring)
-                for u in range(cx - ring, cx + ring + 1, step):
-                    if u < 0 or u >= across:
-                        continue
-                    for s in range(first[v * across + u], first[v * across + u + 1]):
-                        dy, dx = np.int64(rows[s] - y), np.int64(columns[s] - x)
-                        far = dy * dy + dx * dx
-                        if skip_own and far == 0:
-                            continue
-                        # Distance and index in one number, so that the order of ties is defined.
-                        have = _insert(best, have, (far << np.int64(31)) | np.int64(order[s]))
-            # Samples in further rings are at least this far away.
-            reach = np.int64(
-                ring * side
-                + min(min(y - cy * side, cy * side + side - 1 - y), min(x - cx * side, cx * side + side - 1 - x))
-                + 1
-            )
-            if have == count and (best[count - 1] >> np.int64(31)) < reach * reach:
-                break
-            ring += 1
-        for k in range(have):
-            nearest[p, k] = np.int32(best[k] & np.int64(0x7FFFFFFF))
-
-
-@helper
-def _insert(best, have, key):
-    count = best.size
-    if have == count and key >= best[count - 1]:
-        return have
-    at = min(have, count - 1)
-    while at > 0 and best[at - 1] > key:
-        best[at] = best[at - 1]
-        at -= 1
-    best[at] = key
-    return min(have + 1, count)

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes, smallest
 from depthcli.algorithms.regions import RegionPixels
+from depthcli.core.maps import Doubles, Floats, Ints
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import empty, helper, jit, n_threads, run_bands, zeros
 
@@ -26,9 +27,9 @@ _LANES = 32  # RANSAC planes that are tested at once; the result does not depend
 class SegmentPlanes:
     """Disparity planes ``d = a x + b y + c``."""
 
-    coefficients: NDArray[np.float64]  # (L, 3) float64 a, b, c
+    coefficients: Doubles  # (L, 3) float64 a, b, c
     support: NDArray[np.int64]  # (L,) int64 number of inliers: pixels of the segment within the tolerance
-    center: NDArray[np.float64]  # (L, 2) float64 mean x and y of the inliers
+    center: Doubles  # (L, 2) float64 mean x and y of the inliers
 
     def __len__(self) -> int:
         return len(self.support)
@@ -42,9 +43,7 @@ class SegmentPlanes:
         columns = ((planes.coefficients, planes.support, planes.center) for planes in sets)
         return cls(*(np.concatenate(parts) for parts in zip(*columns, strict=True)))
 
-    def distinct(
-        self, slope_tolerance: float, offset_tolerance: float, max_planes: int
-    ) -> tuple[SegmentPlanes, NDArray[np.int32]]:
+    def distinct(self, slope_tolerance: float, offset_tolerance: float, max_planes: int) -> tuple[SegmentPlanes, Ints]:
         """Return at most ``max_planes`` planes without near-duplicates, the best supported ones first.
 
         A plane is a near-duplicate of a better supported one if their slopes differ by at most ``slope_tolerance`` and
@@ -58,7 +57,7 @@ class SegmentPlanes:
         kept = _distinct(by_support.coefficients, by_support.center, *limits, representative)
         return by_support[kept], representative[np.argsort(order)]
 
-    def at(self, choice: NDArray[np.int32], max_disparity: float) -> NDArray[np.float32]:
+    def at(self, choice: Ints, max_disparity: float) -> Floats:
         """Return the value of the plane ``choice`` (H, W), an index, at every pixel; (H, W) float32, pixels.
 
         Values are limited to [0, ``max_disparity``].
@@ -82,7 +81,7 @@ class SegmentPlaneFit(ConfigModel):
         0, ge=0, le=2**31 - 1, description="seed of the RANSAC samples, combined with the segment's number"
     )
 
-    def __call__(self, values: NDArray[np.float32], members: RegionPixels, chosen: NDArray[np.int64]) -> SegmentPlanes:
+    def __call__(self, values: Floats, members: RegionPixels, chosen: NDArray[np.int64]) -> SegmentPlanes:
         """Fit one plane to each of the segments ``chosen`` (K,), none of which is empty.
 
         If no three of the ``members`` define a plane with an allowed slope, the plane is flat, at the median of the
@@ -96,7 +95,7 @@ class SegmentPlaneFit(ConfigModel):
         run_bands(_fit, tasks, values, *segments, limits, planes.coefficients, planes.support, planes.center)
         return planes
 
-    def constant(self, values: NDArray[np.float32], members: RegionPixels, chosen: NDArray[np.int64]) -> SegmentPlanes:
+    def constant(self, values: Floats, members: RegionPixels, chosen: NDArray[np.int64]) -> SegmentPlanes:
         """Return the flat plane at the median disparity of each of the segments ``chosen`` (K,)."""
         flat: dict[str, Any] = {"trials": 0, "max_slope": 0.0, "flatness": 0.0}
         return self.model_copy(update=flat)(values, members, chosen)

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.least_squares import biweight_root, plane_slopes
+from depthcli.core.maps import Floats, Mask
 from depthcli.kernels.jit import empty, helper, jit, run_bands
 
 RADIUS = 4
@@ -26,11 +26,11 @@ _BLOCK = 64  # pixels of a row that are fitted together: a few vectors, with all
 class WindowPlanes(NamedTuple):
     """A plane for every pixel; all (H, W) float32."""
 
-    value: NDArray[np.float32]  # disparity of the plane at the pixel, pixels; NaN if the disparity is unknown
+    value: Floats  # disparity of the plane at the pixel, pixels; NaN if the disparity is unknown
     # pixels of disparity per pixel, to the right and downwards
-    slope_x: NDArray[np.float32]
-    slope_y: NDArray[np.float32]
-    scale: NDArray[np.float32]  # root of the mean weighted squared residual, pixels
+    slope_x: Floats
+    slope_y: Floats
+    scale: Floats  # root of the mean weighted squared residual, pixels
 
     def every(self, stride: int) -> WindowPlanes:
         """Return the planes of every n-th pixel of every n-th row, n = ``stride``; slopes are per n pixels."""
@@ -39,11 +39,11 @@ class WindowPlanes(NamedTuple):
 
 
 def window_planes(
-    disparity: NDArray[np.float32],
-    trust: NDArray[np.float32],
+    disparity: Floats,
+    trust: Floats,
     noise: float,
     previous: WindowPlanes | None = None,
-    changed: NDArray[np.bool_] | None = None,
+    changed: Mask | None = None,
 ) -> WindowPlanes:
     """Fit a plane to the window of every pixel, by three reweighted least squares with Tukey's biweight.
 

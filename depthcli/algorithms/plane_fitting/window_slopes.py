@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
+from depthcli.core.maps import Floats, Image8
 from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.kernels.lanes import (
     LANES,
@@ -42,12 +43,12 @@ def framed(array: NDArray[Any], margin: int) -> NDArray[Any]:
     return result
 
 
-def color_planes(image: NDArray[np.uint8], margin: int) -> NDArray[np.uint8]:
+def color_planes(image: Image8, margin: int) -> Image8:
     """Return the channels of an (H, W, 3) uint8 image as planes, padded by :func:`framed`; uint8."""
     return framed(image.transpose(2, 0, 1), margin)
 
 
-def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 16) -> NDArray[np.float32]:
+def slopes(values: Floats, image: Image8, radius: int = 16) -> Floats:
     """Compute the change of disparity from a pixel to the next one in its row and in its column.
 
     A plane is fitted by least squares to the samples, of 9 x 9 in the window, with a similar color (channel differences
@@ -68,7 +69,7 @@ def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 
     return np.ascontiguousarray(result[:, :, :width])
 
 
-def window_sampling(radius: int) -> tuple[int, NDArray[np.float32], np.float32]:
+def window_sampling(radius: int) -> tuple[int, Floats, np.float32]:
     """Return the sampling of the window of :func:`slopes`; device kernels use the same numbers.
 
     These are the distance between neighboring samples in pixels, the largest disparity difference from the center for

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.regions import connected_components_of_labels, consecutive, merge_small_regions, root
 from depthcli.algorithms.segmentation import Segmenter
+from depthcli.core.maps import Image8, Ints
 from depthcli.kernels.jit import jit, run_bands, zeros
 
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))  # down and right: half of the eight neighbors
@@ -30,7 +30,7 @@ class Felzenszwalb(Segmenter):
     )
     min_size: int = Field(20, ge=1, le=10**8, description="smaller regions join a neighbor, pixels")
 
-    def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.int32]:
+    def __call__(self, image: Image8) -> Ints:
         smooth = image.astype(np.float32)
         if self.sigma:
             smooth = np.asarray(cv2.GaussianBlur(smooth, (0, 0), self.sigma, borderType=cv2.BORDER_REFLECT), np.float32)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.regions import connected_components_of_labels, merge_small_regions
 from depthcli.algorithms.segmentation import Segmenter
+from depthcli.core.maps import Image8, Ints
 
 
 class Slic(Segmenter):
@@ -18,7 +18,7 @@ class Slic(Segmenter):
     iterations: int = Field(10, ge=1, le=100, description="number of k-means iterations")
     min_size: int = Field(20, ge=1, le=10**8, description="smaller regions join a neighbor, pixels")
 
-    def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.int32]:
+    def __call__(self, image: Image8) -> Ints:
         from skimage.segmentation import slic
 
         labels = slic(

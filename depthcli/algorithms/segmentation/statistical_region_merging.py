@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from depthcli.algorithms.regions import consecutive, root
 from depthcli.algorithms.segmentation import Segmenter
+from depthcli.core.maps import Floats, Image8, Ints
 from depthcli.kernels.jit import empty, helper, jit, zeros
 
 _LEVELS = 256  # number of grey levels; g of the paper
@@ -41,15 +42,13 @@ class StatisticalRegionMerging(Segmenter):
             raise ValueError("complexity and coarser must fall from layer to layer")
         return self
 
-    def __call__(self, image: NDArray[np.uint8], depth: NDArray[np.float32] | None = None) -> NDArray[np.int32]:
+    def __call__(self, image: Image8, depth: Floats | None = None) -> Ints:
         return self._merged(image, depth, (self.complexity,))[0]
 
-    def layers(self, image: NDArray[np.uint8], depth: NDArray[np.float32] | None = None) -> list[NDArray[np.int32]]:
+    def layers(self, image: Image8, depth: Floats | None = None) -> list[Ints]:
         return self._merged(image, depth, (self.complexity, *self.coarser))
 
-    def _merged(
-        self, image: NDArray[np.uint8], depth: NDArray[np.float32] | None, complexities: tuple[float, ...]
-    ) -> list[NDArray[np.int32]]:
+    def _merged(self, image: Image8, depth: Floats | None, complexities: tuple[float, ...]) -> list[Ints]:
         smooth = np.asarray(cv2.GaussianBlur(image, (3, 3), self.smoothing) if self.smoothing else image, np.uint8)
         guide = _depth_levels(depth) if depth is not None and self.depth_guidance else np.empty((0, 0), np.int16)
         labels = np.empty((len(complexities), *image.shape[:2]), np.int32)
@@ -63,7 +62,7 @@ class StatisticalRegionMerging(Segmenter):
         return list(labels)
 
 
-def _depth_levels(depth: NDArray[np.float32]) -> NDArray[np.int16]:
+def _depth_levels(depth: Floats) -> NDArray[np.int16]:
     # Return levels over the range from the 0.5 % to the 99.5 % quantile, -1 = unknown; all -1 if the range is empty.
     known = depth[~np.isnan(depth)]
     low, high = np.percentile(known, (0.5, 99.5)) if known.size else (0.0, 0.0)
@@ -73,7 +72,7 @@ def _depth_levels(depth: NDArray[np.float32]) -> NDArray[np.int16]:
     return np.where(np.isnan(share), np.float32(-1), np.rint(share * _DEPTH_LEVELS)).astype(np.int16)
 
 
-def _sorted_pairs(image: NDArray[np.uint8], depth: NDArray[np.int16]) -> NDArray[np.int32]:
+def _sorted_pairs(image: Image8, depth: NDArray[np.int16]) -> Ints:
     # Return 4-neighbor pairs sorted by difference: 2 p for (p, right of p), 2 p + 1 for (p, below p).
     keys = np.full((*image.shape[:2], 2), -1, np.int16)  # -1: the neighbor is outside the image
     neighbors: Any = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.maps import Floats, Ints
 from depthcli.kernels.exponential import attainable_likelihood, bits_float, float_bits, likelihood
 from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.kernels.winners import winners
@@ -21,20 +22,20 @@ _FAR = np.float32(1e30)
 class CurveStatistics:
     """Statistics of curves; arrays have the curves' shape and are float32 unless stated otherwise."""
 
-    lowest: NDArray[np.float32]  # smallest cost, c1
-    second_lowest: NDArray[np.float32]  # next smallest cost anywhere, c2; c1 in a curve of one entry
+    lowest: Floats  # smallest cost, c1
+    second_lowest: Floats  # next smallest cost anywhere, c2; c1 in a curve of one entry
     # second smallest local minimum, c2m; the largest cost if there is no second one. A local minimum is below its left
     # neighbor and not above its right neighbor; costs beyond the ends of the curve count as infinite
-    second_minimum: NDArray[np.float32]
-    total: NDArray[np.float32]  # sum of the costs
-    curvature: NDArray[np.float32]  # c(d1 - 1) + c(d1 + 1) - 2 c1, mirrored at the ends
+    second_minimum: Floats
+    total: Floats  # sum of the costs
+    curvature: Floats  # c(d1 - 1) + c(d1 + 1) - 2 c1, mirrored at the ends
     # likelihood of d1: 1 / sum of exp(-2 (c - c1) / s); s is the standard deviation of all valid cells
-    likelihood: NDArray[np.float32]
-    attainable_likelihood: NDArray[np.float32]  # likelihood of d1: 1 / sum of exp(-8 ((c - c1) / s)^2)
-    negative_entropy: NDArray[np.float32]  # sum of p log p, p = softmax(-4 c / s)
-    n_minima: NDArray[np.float32]  # number of local minima of the curve smoothed by (1, 2, 1) / 4
-    winner: NDArray[np.int32]  # int32, d1, the first of equal costs
-    second_winner: NDArray[np.int32]  # int32, d2m, index of the second smallest local minimum; -1 if there is none
+    likelihood: Floats
+    attainable_likelihood: Floats  # likelihood of d1: 1 / sum of exp(-8 ((c - c1) / s)^2)
+    negative_entropy: Floats  # sum of p log p, p = softmax(-4 c / s)
+    n_minima: Floats  # number of local minima of the curve smoothed by (1, 2, 1) / 4
+    winner: Ints  # int32, d1, the first of equal costs
+    second_winner: Ints  # int32, d2m, index of the second smallest local minimum; -1 if there is none
     eps: float  # 1e-3 of the mean cost, keeps denominators of ratios above zero
 
 
@@ -53,7 +54,7 @@ class CostCurves:
         self.costs = costs
         self.valid = np.broadcast_to(costs.shape[-1] if valid is None else valid, costs.shape[:-1]).astype(np.int32)
         if self.valid.size and not 1 <= self.valid.min() <= self.valid.max() <= costs.shape[-1]:
-            raise ValueError(f"valid entries must lie in 1 .. {costs.shape[-1]}")
+            raise ValueError(f"valid entries must be in 1 .. {costs.shape[-1]}")
 
     @cached_property
     def statistics(self) -> CurveStatistics:

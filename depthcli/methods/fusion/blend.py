@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from depthcli.core import memory
+from depthcli.core.maps import Floats, Image8, Mask
 from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import empty, jit, run_bands
 from depthcli.methods.fusion.votes import Ballot
@@ -23,11 +23,11 @@ def normalize_costs(volume: CostVolume, scale: float | None, outside: float | No
     None: the median cost. Cells outside the right image get the cost ``outside``; None: the mean of the cells inside.
     """
     costs = volume.costs
-    out: NDArray[np.uint8] = memory.empty(costs.shape, np.uint8)
+    out: Image8 = memory.empty(costs.shape, np.uint8)
     rows = costs.reshape(len(costs), -1)
+    inside = np.arange(costs.shape[2])[None, :] <= np.arange(costs.shape[1])[:, None]
     if costs.dtype == np.float32:
         offset = min(0.0, float(costs.min()))
-        inside = np.arange(costs.shape[2])[None, :] <= np.arange(costs.shape[1])[:, None]
         sample = costs[::4][:, inside] - np.float32(offset)  # every fourth row: enough for a median
         middle = float(np.median(sample)) if scale is None else scale * volume.scale
         rate = 1.0 / middle if middle > 0 else 1.0
@@ -36,7 +36,8 @@ def normalize_costs(volume: CostVolume, scale: float | None, outside: float | No
     else:
         counts = np.zeros(256 if costs.dtype == np.uint8 else 65536, np.int64)
         if scale is None or outside is None:
-            _histogram(costs, counts)
+            for row in costs[::4]:
+                counts += np.bincount(row[inside], minlength=counts.size)
         total = np.cumsum(counts)
         middle = float(np.searchsorted(total, (total[-1] + 1) // 2)) if scale is None else scale * volume.scale
         squashed = 1.0 - np.exp(-np.arange(counts.size) / (middle if middle > 0 else 1.0))
@@ -46,14 +47,14 @@ def normalize_costs(volume: CostVolume, scale: float | None, outside: float | No
     return CostVolume(out, float(UNIT))
 
 
-def normalize_confidences(confidence: NDArray[np.float32], name: str) -> NDArray[np.float32]:
+def normalize_confidences(confidence: Floats, name: str) -> Floats:
     """Return (M, H, W) confidences called ``name`` of M cost measures on one scale in [0, 1].
 
     ``lrc`` is in pixels for every measure and becomes 1 / (1 + |difference|). Any other becomes its rank
     among all measures and pixels together: ranks within a measure would lose which measure is better.
     """
     if name == "lrc":
-        trust: NDArray[np.float32] = (1.0 / (1.0 - confidence)).astype(np.float32)
+        trust: Floats = (1.0 / (1.0 - confidence)).astype(np.float32)
         return trust
     ordered = np.sort(confidence, axis=None)
     first = np.searchsorted(ordered, confidence, "left")
@@ -61,9 +62,7 @@ def normalize_confidences(confidence: NDArray[np.float32], name: str) -> NDArray
     return ((first + last) / (2.0 * ordered.size)).astype(np.float32)
 
 
-def measure_weights(
-    mode: str, ballot: Ballot | None, exponent: float, shape: tuple[int, int, int]
-) -> NDArray[np.float32]:
+def measure_weights(mode: str, ballot: Ballot | None, exponent: float, shape: tuple[int, int, int]) -> Floats:
     """Compute the weights of M measures at every pixel, ``shape`` (M, H, W) float32, sum 1 over the measures.
 
     The ballot, with one voter per measure, may be missing if all weights are equal. ``exponent`` is a power of the
@@ -74,36 +73,27 @@ def measure_weights(
     assert ballot is not None
     if mode == "select":
         best = ballot.vote_weights.argmax(axis=0)
-        chosen: NDArray[np.bool_] = np.arange(ballot.vote_weights.shape[0])[:, None, None] == best
+        chosen: Mask = np.arange(ballot.vote_weights.shape[0])[:, None, None] == best
         return chosen.astype(np.float32)
     score = ballot.shares(ballot.disparities) if mode == "consensus" else ballot.vote_weights
     powered = np.maximum(score, _MIN_SCORE) ** exponent
-    weights: NDArray[np.float32] = (powered / powered.sum(axis=0, keepdims=True)).astype(np.float32, copy=False)
+    weights: Floats = (powered / powered.sum(axis=0, keepdims=True)).astype(np.float32, copy=False)
     return weights
 
 
-def blend(volumes: list[CostVolume], weights: NDArray[np.float32]) -> CostVolume:
+def blend(volumes: list[CostVolume], weights: Floats) -> CostVolume:
     """Return the mean of M uint8 volumes of one scale, in that scale, by weights (M, H, W) whose sums are 1.
 
     Weights are rounded to 1/256; the largest one takes the remainder.
     """
-    out: NDArray[np.uint8] = memory.empty(volumes[0].costs.shape, np.uint8)
+    out: Image8 = memory.empty(volumes[0].costs.shape, np.uint8)
     run_bands(_blend, len(out), tuple(volume.costs for volume in volumes), weights, out)
     return CostVolume(out, volumes[0].scale)
 
 
-def add_weighted(total: NDArray[np.float32], volume: CostVolume, weights: NDArray[np.float32]) -> None:
+def add_weighted(total: Floats, volume: CostVolume, weights: Floats) -> None:
     """Add ``weights`` (H, W) times the volume's costs, in units of the measure, to float32 ``total``."""
     run_bands(_add_weighted, len(volume.costs), volume.costs, weights * np.float32(1.0 / volume.scale), total)
-
-
-@jit
-def _histogram(costs, counts):
-    height, width, n_disparities = costs.shape
-    for y in range(0, height, 4):
-        for x in range(width):
-            for d in range(min(n_disparities, x + 1)):
-                counts[costs[y, x, d]] += 1
 
 
 @jit

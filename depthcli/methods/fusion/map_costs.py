@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.filters import CORRELATED, correlation, local_moments
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Floats, Image8
 from depthcli.kernels.color_steps import BEFORE, color_steps
 from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.methods.fusion.votes import ColorSupport
@@ -124,7 +125,7 @@ misfit_of_pixels = jit(misfit)
 """The same for single pixels, in kernels."""
 
 
-def disagreements(maps: Map, weights: NDArray[np.float32], out: Map | None = None) -> Map:
+def disagreements(maps: Map, weights: Floats, out: Map | None = None) -> Map:
     """Compute the weighted share of the other maps (N, H, W) that disagree.
 
     Maps within half a pixel agree; from there to one and a half their agreement fades.
@@ -134,7 +135,7 @@ def disagreements(maps: Map, weights: NDArray[np.float32], out: Map | None = Non
     return out
 
 
-def agreement(values: Map, maps: Map, weights: NDArray[np.float32]) -> Map:
+def agreement(values: Map, maps: Map, weights: Floats) -> Map:
     """Compute the weighted share, 0 .. 1, of maps (N, H, W) that agree with ``values`` (H, W), as ``disagreements``."""
     total = np.zeros(values.shape, np.float32)
     for one, weight in zip(maps, weights, strict=True):
@@ -142,7 +143,7 @@ def agreement(values: Map, maps: Map, weights: NDArray[np.float32]) -> Map:
     return total / np.float32(weights.sum())
 
 
-def hidden_jumps(maps: Map, image: NDArray[np.uint8], out: Map | None = None) -> Map:
+def hidden_jumps(maps: Map, image: Image8, out: Map | None = None) -> Map:
     """Compute how far every map (N, H, W) jumps at pixels where the color does not change, in [0, 4].
 
     Sum over the four neighbors of the step beyond one pixel, at most 1, times exp(-color difference / 10 levels).

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from depthcli.core.context import Clock
 from depthcli.core.frames import StereoPair
-from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.maps import DisparityMap, Floats, Image8, Status
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import empty, jit, run_bands
 from depthcli.methods.fusion.choice import Choice, Proposals
@@ -83,7 +83,7 @@ class MapFusion(ConfigModel):
         maps: list[DisparityMap],
         confidence: Collection[str],
         clock: Clock,
-    ) -> tuple[DisparityMap, dict[str, NDArray[np.float32]]]:
+    ) -> tuple[DisparityMap, dict[str, Floats]]:
         """Mix ``maps`` (the own one, then the maps of ``matchers`` and of ``optimizations``) and refine the mix.
 
         Gaps of the maps are filled, and their median is another proposal. ``right`` (H, W) are the right view's
@@ -144,23 +144,10 @@ def _complete(begin, end, maps, largest):
             maps[0, y, x] = ordered[count // 2]
 
 
-def _status(values: NDArray[np.float32], right: NDArray[Any]) -> NDArray[np.uint8]:
+def _status(values: Floats, right: NDArray[Any]) -> Image8:
     # Measured if the right view agrees within one pixel; otherwise filled, and hidden from it or mismatched.
-    status = np.empty(values.shape, np.uint8)
-    hidden, wrong = Status.OCCLUDED | Status.FILLED, Status.MISMATCH | Status.FILLED
-    run_bands(_judge, len(values), values, right, np.uint8(hidden), np.uint8(wrong), status)
-    return status
-
-
-@jit
-def _judge(begin, end, values, right, hidden, wrong, status):
-    width = values.shape[1]
-    for y in range(begin, end):
-        for x in range(width):
-            value = values[y, x]
-            u = x - int(np.rint(value))
-            match = np.float32(right[y, max(u, 0)])
-            if u >= 0 and abs(match - value) <= np.float32(1):
-                status[y, x] = 0
-            else:
-                status[y, x] = hidden if u < 0 or match > value + np.float32(1) else wrong
+    column = np.arange(values.shape[1]) - np.rint(values).astype(np.intp)
+    match = np.take_along_axis(right, np.maximum(column, 0), axis=1).astype(np.float32)
+    seen, one = column >= 0, np.float32(1)
+    hidden = np.where(seen & (match <= values + one), Status.MISMATCH, Status.OCCLUDED) | Status.FILLED
+    return np.where(seen & (np.abs(match - values) <= one), 0, hidden).astype(np.uint8)

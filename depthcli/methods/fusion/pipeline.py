@@ -15,6 +15,7 @@ from depthcli.algorithms.pixel_network import TrainedNetwork
 from depthcli.core.context import Clock, Context
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Floats
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.confidence import MeasureName, confidence_maps, measure_name
@@ -40,7 +41,7 @@ from depthcli.methods.stereo.stages import finish
 from depthcli.methods.stereo.volume import CostVolume, StereoResult
 
 _NEEDS_MAPS: dict[str, LiteralString] = {
-    "agreement": "'agreement' is that of several maps; expected 'maps'",
+    "agreement": "'agreement' compares several maps; expected 'maps'",
     "probability": "'probability' is known where a network chooses among maps; expected 'maps' with 'choice: network'",
 }
 _OWN_CONFIDENCES = ("consensus", *_NEEDS_MAPS)
@@ -58,7 +59,7 @@ class FusedMeasure(ConfigModel):
     volume: str | None = Field(
         None,
         description="instead of cost: .npy file of (H, W, D) costs, lower is better, relative to the left image's "
-        "folder; {scene} stands for the scene's name",
+        "folder; {scene} becomes the scene's name",
     )
     scale: float | None = Field(
         None, gt=0, le=1e9, description="cost that counts as 1 - 1/e, in units of the measure; null: the pair's median"
@@ -93,7 +94,7 @@ class FusedMeasure(ConfigModel):
             with np.errstate(over="ignore"):
                 costs = costs.astype(np.float32)
             if not np.isfinite(costs).all():
-                raise InputError(f"{self.volume}: holds NaN or infinite costs")
+                raise InputError(f"{self.volume}: has NaN or infinite costs")
         return CostVolume(np.ascontiguousarray(costs))
 
 
@@ -110,7 +111,7 @@ class Fusion(AdjustingMatcher):
         2.0, gt=0, le=8, description="consensus, confidence: weights are votes or confidence to this power"
     )
     vote_confidence: MeasureName | None = Field(
-        "lrc", description="confidence measure that says how much a vote counts; null: all count alike"
+        "lrc", description="confidence measure that weights votes; null: all count alike"
     )
     vote_aggregation: Aggregation | None = Field(
         default_factory=lambda: ConstantWindow(window=11),
@@ -154,7 +155,7 @@ class Fusion(AdjustingMatcher):
         if self.segments is not None:
             for name in ("optimization", "refinement", "maps", "confidence"):
                 if getattr(self, name) != type(self).model_fields[name].get_default(call_default_factory=True):
-                    wrong.append((name, "has no effect beside 'segments', which has its own; leave it out"))
+                    wrong.append((name, "has no effect with 'segments', which has its own; leave it out"))
         if wrong:
             errors = [InitErrorDetails(type=PydanticCustomError("in_vain", t), loc=(n,), input=None) for n, t in wrong]
             raise ValidationError.from_exception_data("Fusion", errors)
@@ -284,14 +285,12 @@ class Fusion(AdjustingMatcher):
         pixels = shape[0] * shape[1]
         # A byte per measure; raw, aggregated, voted and optimized costs of two bytes; blocks of 16 floats for votes.
         per_cell = len(self.measures) + (6 if self.blend == "before" else 10)
-        beside = max(0 if measure.cost is None else measure.cost.pixel_bytes() for measure in self.measures)
-        per_pixel = 2 * 16 * 4 + 24 * len(self.measures) + beside
+        temporary = max(0 if measure.cost is None else measure.cost.pixel_bytes() for measure in self.measures)
+        per_pixel = 2 * 16 * 4 + 24 * len(self.measures) + temporary
         need = pixels * (max_disparity + 1) * per_cell + pixels * per_pixel + (32 << 20)
         return need if self.maps is None else self.maps.peak_bytes(shape, max_disparity, need)
 
-    def _ballot(
-        self, parts: list[CostVolume], pair: StereoPair, light: NDArray[np.float32] | None, clock: Clock
-    ) -> Ballot:
+    def _ballot(self, parts: list[CostVolume], pair: StereoPair, light: Floats | None, clock: Clock) -> Ballot:
         clock.start("voters")
         chosen, trust = [], []
         for part in parts:
@@ -326,5 +325,5 @@ class FusedCosts:
     """The fused costs, and the weights and votes that they were made with."""
 
     volume: CostVolume  # (H, W, D) uint16, at most 4080; uint8 with equal weights, no aggregation and no votes
-    weights: NDArray[np.float32]  # of the measures, (M, H, W) float32, sum 1 over M
+    weights: Floats  # of the measures, (M, H, W) float32, sum 1 over M
     ballot: Ballot | None  # the votes; None if they are not counted

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
+from depthcli.core.maps import Floats, Image8, Ints
 from depthcli.core.method import ConfigModel, Odd
 from depthcli.kernels.color_steps import BEFORE, color_steps
 from depthcli.kernels.jit import empty, jit, run_bands
@@ -36,10 +37,10 @@ class Support(ABC):
     shape: tuple[int, int]  # (H, W) of the images
 
     @abstractmethod
-    def sum(self, block: NDArray[np.float32]) -> None:
+    def sum(self, block: Floats) -> None:
         """Replace (H, W, 16) float32 ``block`` by its sums over every pixel's support."""
 
-    def mean(self, planes: NDArray[np.float32], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+    def mean(self, planes: Floats, out: Floats | None = None) -> Floats:
         """Return the weighted means over every pixel's support of (N, H, W) float32 planes without negative values."""
         out = np.empty(planes.shape, np.float32) if out is None else out
         block = memory.empty((*self.shape, BLOCK_DEPTH), np.float32)
@@ -55,7 +56,7 @@ class Support(ABC):
         return out
 
     @cached_property
-    def inverse_sum(self) -> NDArray[np.float32]:
+    def inverse_sum(self) -> Floats:
         """(H, W) float32, 1 / (sum of the weights of a pixel's support)."""
         ones = np.ones((*self.shape, BLOCK_DEPTH), np.float32)
         self.sum(ones)
@@ -69,13 +70,13 @@ class ColorSupport(Support):
     the sums in a time that does not depend on ``reach`` (pixels). Color steps are the largest over the channels.
     """
 
-    def __init__(self, image: NDArray[np.uint8], reach: float, softness: float) -> None:
+    def __init__(self, image: Image8, reach: float, softness: float) -> None:
         smooth = np.asarray(cv2.medianBlur(image, 3), np.uint8)
         self.shape = image.shape[0], image.shape[1]
         self._across, self._down = color_steps(smooth, BEFORE, largest=True)
         self._decay = np.exp(-(1.0 / reach + np.arange(256) / softness)).astype(np.float32)
 
-    def sum(self, block: NDArray[np.float32]) -> None:
+    def sum(self, block: Floats) -> None:
         run_bands(_recurse_rows, self.shape[0], block, self._across, self._decay)
         run_bands(_recurse_columns, (self.shape[1] + _STRIP - 1) // _STRIP, block, self._down, self._decay)
 
@@ -86,7 +87,7 @@ class WindowSupport(Support):
     def __init__(self, shape: tuple[int, int], window: int) -> None:
         self.shape, self._size = shape, (window, window)
 
-    def sum(self, block: NDArray[np.float32]) -> None:
+    def sum(self, block: Floats) -> None:
         cv2.boxFilter(block, -1, self._size, dst=block, normalize=False, borderType=cv2.BORDER_CONSTANT)
 
 
@@ -114,15 +115,15 @@ class Consensus(ConfigModel):
 class Ballot:
     """Votes of M voters per pixel."""
 
-    disparities: NDArray[np.int32]  # (M, H, W) int32, 0 .. n_disparities - 1
+    disparities: Ints  # (M, H, W) int32, 0 .. n_disparities - 1
     # (M, H, W) float32 >= 0, how much each vote counts; their sum at a pixel is at most M. Rounded to 1/256 for
     # counting, so that sums over windows are exact.
-    vote_weights: NDArray[np.float32]
+    vote_weights: Floats
     n_disparities: int  # number of disparities
     tolerance: int  # largest difference from the voter's own disparity at which a vote counts, pixels
     support: Support  # the pixels that vote for each pixel, with their weights
 
-    def _blocks(self, fading: bool) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    def _blocks(self, fading: bool) -> Iterator[tuple[int, Floats]]:
         voters, height, width = self.disparities.shape
         weights = np.round(self.vote_weights * 256) / np.float32(256 * voters)
         block = memory.empty((height, width, BLOCK_DEPTH), np.float32)
@@ -131,7 +132,7 @@ class Ballot:
             self.support.sum(block)
             yield first, block
 
-    def shares(self, disparities: NDArray[np.int32]) -> NDArray[np.float32]:
+    def shares(self, disparities: Ints) -> Floats:
         """Return the shares in [0, 1] of (N, H, W) ``disparities``; votes count in full up to the tolerance."""
         shares = np.zeros(disparities.shape, np.float32)
         for first, block in self._blocks(fading=False):

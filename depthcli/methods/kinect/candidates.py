@@ -90,13 +90,6 @@ class Costs(NamedTuple):
     truncation: float  # larger differences cost no more
 
 
-class _Bins(NamedTuple):
-    # Layout of a histogram of disparities.
-    low: np.float32
-    per_pixel: np.float32
-    bins: int
-
-
 class _Histogram(NamedTuple):
     # Votes for one pixel, (bins, 2) float32: mass, and mass x value; first and last bin with votes; lower end; scale.
     votes: Floats
@@ -142,7 +135,7 @@ def cast_votes(
         return found
     unit = _BIN * noise
     low = float(voting.min()) - 8 * unit
-    bins = _Bins(np.float32(low), np.float32(1) / np.float32(unit), int((float(voting.max()) - low) / unit) + 10)
+    bins = np.float32(low), np.float32(1) / np.float32(unit), int((float(voting.max()) - low) / unit) + 10
     reach = max(r for _, r in LEVELS)
     space = np.exp(-np.arange(reach + 1) / _SPACE_SCALES[:, None]).astype(np.float32)
     scale = np.searchsorted(_SPACE_SCALES[:-1], sigma_space[pixels[:, 0], pixels[:, 1]])

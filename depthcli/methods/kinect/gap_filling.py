@@ -13,11 +13,12 @@ from depthcli.methods.kinect.gap_limits import SLOPE_FADE
 
 UNRELIABLE_COST = 15.0
 """Initial cost of paths that start at unreliable pixels, pixels of path length."""
+SHADOW_COST = 1000.0
+"""Cost of a surface that a shadow rules out: higher than any color path, so that such a surface is the last resort."""
 
 # Chosen for refine-kinect dsrm on simulated sensors and on blocks cut out of real frames; nothing varies them.
 _COLOR_COST = 0.2  # cost per L1 difference in 8-bit Lab along a path; a pixel of length costs 1
 _BORDER_COST = 5.0  # cost of crossing the border of a segment
-_SHADOW_COST = 1000.0  # cost of a surface that a shadow rules out: it is the last resort
 _SWEEPS = 4
 # Exchanges after which the fifth of nine numbers is their median (Paeth, Graphics Gems, 1990).
 _MEDIAN_OF_NINE = tuple(
@@ -139,7 +140,7 @@ def _join(pixels, lab, segments, limit, values, start, total):
                     if segments[layer, v, u] != segments[layer, y, x]:
                         path += np.float32(_BORDER_COST)
                 if values[start[v, u]] > limit[y, x]:
-                    path += np.float32(_SHADOW_COST)
+                    path += np.float32(SHADOW_COST)
                 if path < total[y, x]:
                     total[y, x] = path
                     start[y, x] = start[v, u]

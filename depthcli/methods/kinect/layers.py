@@ -3,50 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
-from depthcli.algorithms.plane_fitting.polynomials import Surfaces, fit_polynomials, surface_at
-from depthcli.algorithms.regions import region_adjacency
+from depthcli.algorithms.plane_fitting.polynomials import Surfaces, surface_at
+from depthcli.algorithms.regions import region_adjacency, region_sums
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus, Floats, Image8, Ints, Mask
-from depthcli.core.method import ConfigModel
 from depthcli.core.result import DepthResult
-from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
+from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.methods.kinect.disparity import Measurement
-from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
+from depthcli.methods.kinect.gap_filling import SHADOW_COST, UNRELIABLE_COST, fill_gaps
 
-SHADOW_PENALTY = 1000.0
-"""Cost of a surface that a shadow rules out: higher than any color path, so that such a surface is the last resort."""
 _BOUNDARY_COST = 10  # cost of a common boundary one pixel long, grey levels; value of the shipped presets, not varied
 _COLUMNS = 64  # columns per task of the vertical pass: whole cache lines
 
 _KEPT, _FILLED, _CORRECTED = int(DepthStatus.KEPT), int(DepthStatus.GAP_FILLED), int(DepthStatus.CORRECTED)
 _FALLBACK, _EMPTY, _SMOOTHED = int(DepthStatus.FALLBACK), int(DepthStatus.EMPTY), int(DepthStatus.SMOOTHED)
-
-
-class Polynomial(ConfigModel):
-    """Polynomials of inverse depth in (x, y), fitted to every segment by reweighted least squares (Huber)."""
-
-    method: Literal["polynomial"] = Field("polynomial", description="name of the model")
-    degree: int = Field(1, ge=0, le=2, description="of the polynomial; at most 1 below 100 known pixels, 0 below 30")
-    huber: float | None = Field(1.345, gt=0, description="residuals of u > k scales weigh k / u; null: least squares")
-    iterations: int = Field(20, ge=1, le=100, description="largest number of reweightings, without a previous frame")
-    warm_iterations: int = Field(2, ge=1, le=100, description="reweightings from the surfaces of the previous frame")
-    samples: int = Field(400, ge=100, description="largest number of pixels per segment that are used, evenly spread")
-
-    def __call__(self, values: Floats, labels: Ints, floor: float, start: Surfaces | None = None) -> Surfaces:
-        """Fit a surface to ``values`` (H, W), NaN = unknown, in each segment of ``labels``.
-
-        ``labels`` is (H, W) int32, 0 .. n - 1, -1 = no segment. ``floor`` is the smallest scale of residuals, the
-        sensor's resolution. ``start`` are the surfaces of the same segments in the previous frame: a segment with too
-        few known pixels in this frame keeps its surface.
-        """
-        limits = self.huber or np.inf, self.iterations, self.warm_iterations, self.samples
-        return fit_polynomials(values, labels, start, self.degree, *limits, floor)
 
 
 @dataclass(frozen=True)
@@ -169,7 +143,7 @@ def join_segments(labels: Ints, modelled: Mask, surfaces: Surfaces, color: Image
     """Assign a surface to every segment: its own surface, or the surface of the modelled segment that it joins.
 
     Each segment without a model joins along the cheapest path through neighbors. A step costs the sum of the absolute
-    differences of the mean colors, plus 10 / sqrt(length of the common boundary), plus ``SHADOW_PENALTY`` if the
+    differences of the mean colors, plus 10 / sqrt(length of the common boundary), plus ``SHADOW_COST`` if the
     surface would be nearer than the segment's mean shadow ``limit``.
 
     Returns (n,) int32 indices of surfaces for the n segments; -1 if no model reaches a segment.
@@ -178,46 +152,19 @@ def join_segments(labels: Ints, modelled: Mask, surfaces: Surfaces, color: Image
     owners = np.where(modelled, np.arange(count, dtype=np.int32), np.int32(-1))
     if modelled.all() or not modelled.any():
         return owners
-    mean, segment_center, limits = _statistics(labels, color, limit, count)
-    starts, neighbors, boundary = region_adjacency(labels, count)
-    shapes = (surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit)
-    _join(owners, mean, segment_center, limits, starts, neighbors, boundary, *shapes)
+    limited = limit < np.inf
+    planes = np.dstack([color, *np.indices(labels.shape, np.float32), limited, np.where(limited, limit, 0)])
+    sizes, sums = region_sums(labels, planes, count)
+    means = sums[:, :5] / sizes[:, None]  # color, and the center's row and column
+    n_limited, total = sums[:, 5:].T
+    # The mean limit, if more than a third of the segment's pixels have one.
+    limits = np.where(3 * n_limited > sizes, total / np.maximum(n_limited, 1), np.inf)
+    _join(owners, means, limits, *region_adjacency(labels, count), surfaces)
     return owners
 
 
 @jit
-def _statistics(labels, color, limit, count):
-    # Return mean color, center (y, x), and mean limit of every segment; inf if at most a third of its pixels has one.
-    height, width = labels.shape
-    sums = zeros((count, 8), np.int64)  # size, three colors, y, x, pixels with a limit
-    limit_sums = zeros(count, np.float64)
-    for y in range(height):
-        for x in range(width):
-            s = labels[y, x]
-            sums[s, 0] += 1
-            for c in range(3):
-                sums[s, 1 + c] += color[y, x, c]
-            sums[s, 4] += y
-            sums[s, 5] += x
-            if limit[y, x] < np.inf:
-                sums[s, 6] += 1
-                limit_sums[s] += limit[y, x]
-    mean = empty((count, 3), np.float64)
-    segment_center = empty((count, 2), np.float64)
-    limits = np.full(count, np.inf)
-    for s in range(count):
-        size = float(sums[s, 0])
-        for c in range(3):
-            mean[s, c] = sums[s, 1 + c] / size
-        for c in range(2):
-            segment_center[s, c] = sums[s, 4 + c] / size
-        if 3 * sums[s, 6] > sums[s, 0]:
-            limits[s] = limit_sums[s] / sums[s, 6]
-    return mean, segment_center, limits
-
-
-@jit
-def _join(owners, mean, segment_center, limits, starts, neighbors, boundary, coefficients, center, bounds, unit):
+def _join(owners, means, limits, starts, neighbors, boundary, surfaces):
     waiting = empty((owners.size + neighbors.size, 3), np.float64)  # a heap of (cost, segment, owner)
     size = 0
     for s in range(owners.size):
@@ -239,10 +186,9 @@ def _join(owners, mean, segment_center, limits, starts, neighbors, boundary, coe
                 continue
             step = _BOUNDARY_COST / np.sqrt(float(boundary[k]))
             for c in range(3):
-                step += abs(mean[s, c] - mean[t, c])
-            y, x = segment_center[t]
-            if surface_at(coefficients, center, bounds, unit, owner, y, x) > limits[t]:
-                step += SHADOW_PENALTY
+                step += abs(means[s, c] - means[t, c])
+            if surface_at(surfaces, owner, means[t, 3], means[t, 4]) > limits[t]:
+                step += SHADOW_COST
             _push(waiting, size, cost + step, t, owner)
             size += 1
 

@@ -78,7 +78,7 @@ class Shadows:
 
 
 Side = Literal["left", "right"]
-SHADOW_SIDES = "where shadows lie: true: measured in each frame; left, right of near surfaces; false: there are none"
+SHADOW_SIDES = "where shadows are: true: measured in each frame; left, right of near surfaces; false: there are none"
 """Description of the ``shadows`` option of pipelines."""
 
 

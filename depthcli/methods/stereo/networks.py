@@ -23,6 +23,7 @@ from pydantic import BaseModel, Discriminator, Field, PrivateAttr, Tag, model_va
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Floats
 from depthcli.core.method import ConfigModel, Method, parts_of
 from depthcli.kernels.jit import n_threads
 
@@ -108,7 +109,7 @@ class ImageInput(NamedTuple):
     channels_last: bool
     size: tuple[int | None, int | None]
 
-    def array(self, image: NDArray[np.float32]) -> NDArray[Any]:
+    def array(self, image: Floats) -> NDArray[Any]:
         """Return an (H, W, C) image in the layout and type of the input."""
         if np.issubdtype(self.dtype, np.integer):
             image = np.clip(np.rint(image), 0, 255)
@@ -228,7 +229,7 @@ _MOMENTS = {
 }
 
 
-def samples(pair: StereoPair, view: int, channels: int) -> NDArray[np.float32]:
+def samples(pair: StereoPair, view: int, channels: int) -> Floats:
     """Return the left (0) or right (1) image as (H, W, 1) luma or (H, W, 3) RGB from 0 to 255; grey is repeated."""
     image, top = (pair.clamped if channels == 3 else pair.grey)[view], pair.top
     if channels == 1:
@@ -237,7 +238,7 @@ def samples(pair: StereoPair, view: int, channels: int) -> NDArray[np.float32]:
     return levels.astype(np.float32) * np.float32(255.0 / top)
 
 
-def normalized(image: NDArray[np.float32], normalization: Normalization, order: ColorOrder) -> NDArray[np.float32]:
+def normalized(image: Floats, normalization: Normalization, order: ColorOrder) -> Floats:
     """Return an (H, W, C) RGB image with values from 0 to 255 normalized, its channels in the given order."""
     if normalization == "image":
         deviation = float(image.std(dtype=np.float64))
@@ -251,7 +252,7 @@ def normalized(image: NDArray[np.float32], normalization: Normalization, order: 
     return image[..., ::-1] if order == "bgr" else image
 
 
-def padded(image: NDArray[np.float32], multiple: int, margin: int = 0) -> NDArray[np.float32]:
+def padded(image: Floats, multiple: int, margin: int = 0) -> Floats:
     """Return an (H, W, C) image with ``margin`` more pixels on all sides, and sides that are a ``multiple``.
 
     The border is repeated outwards; pixels that complete the multiple are added below and on the right.

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
+from depthcli.core.maps import Doubles, Image8, Mask
 
 Points = NDArray[np.float64]
 """(N, 2) x and y, pixels."""
@@ -25,7 +26,7 @@ _REGULARIZATION = 0.1  # pixels per radian, and per unit of log f: keeps undeter
 _MIN_DISPARITY_SHARE = 0.02  # smallest disparity of the matches after rectification, share of the width
 
 
-def match_views(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[Points, Points]:
+def match_views(left: Image8, right: Image8) -> tuple[Points, Points]:
     """Return matched key points (SIFT, mutual nearest neighbors, ratio test) of two (H, W) uint8 views, some wrong."""
     found = []
     for image in (left, right):
@@ -61,11 +62,11 @@ def row_error(left: Points, right: Points) -> float:
 class RectifyingHomographies:
     """The (3, 3) homographies that warp both views to ``size``, (width, height)."""
 
-    left: NDArray[np.float64]
-    right: NDArray[np.float64]
+    left: Doubles
+    right: Doubles
     size: tuple[int, int]
 
-    def images(self, left: NDArray[Any], right: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
+    def images(self, left: NDArray[Any], right: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], Mask]:
         """Return both warped images, and (H, W) bool of the pixels inside both."""
         views, in_both = [], np.ones(self.size[::-1], bool)
         for image, homography in ((left, self.left), (right, self.right)):
@@ -113,7 +114,7 @@ def _fitted(left: Points, right: Points, size: tuple[int, int], focal: float) ->
     parameters, damping = np.zeros(6), 1e-3
     weigh = np.sqrt(len(left)) * _REGULARIZATION
 
-    def residual(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residual(values: Doubles) -> Doubles:
         one, other = (_moved(h, p) for h, p in zip(_turned(values, size, focal), (left, right), strict=True))
         rows = one[:, 1] - other[:, 1]
         rows *= 1 / np.sqrt(np.maximum(np.abs(rows), 1.0))
@@ -145,9 +146,7 @@ def _fitted(left: Points, right: Points, size: tuple[int, int], focal: float) ->
     return RectifyingHomographies(to_left @ one, to_right @ other, size)
 
 
-def _turned(
-    values: NDArray[np.float64], size: tuple[int, int], focal: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _turned(values: Doubles, size: tuple[int, int], focal: float) -> tuple[Doubles, Doubles]:
     f = focal * np.exp(np.clip(values[5], -2, 2))
     camera = np.array([[f, 0, (size[0] - 1) / 2], [0, f, (size[1] - 1) / 2], [0, 0, 1]])
     inverse = np.linalg.inv(camera)
@@ -156,7 +155,7 @@ def _turned(
     return camera @ one @ inverse, camera @ other @ inverse
 
 
-def _moved(homography: NDArray[np.float64], points: Points) -> Points:
+def _moved(homography: Doubles, points: Points) -> Points:
     if len(points) == 0:
         return np.zeros((0, 2))
     return np.asarray(cv2.perspectiveTransform(points[:, None], homography), np.float64)[:, 0]

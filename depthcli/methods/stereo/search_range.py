@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from depthcli.core.context import Clock
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
-from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.maps import DisparityMap, Floats, Status
 from depthcli.methods.stereo.stages import quick_stages
 from depthcli.methods.stereo.volume import StereoResult
 
@@ -182,7 +182,7 @@ def _small_matches(pair: StereoPair) -> _SmallMatches:
     if len(agreed) < max(_MIN_MATCHES, _MIN_MATCHED * larger.size):
         raise InputError(
             f"only {len(agreed)} of {larger.size} pixels of the reduced images match, too few to find the search "
-            "range; say max_disparity (views swapped, or not rectified? see depthcli rectify)"
+            "range; give max_disparity (views swapped, or not rectified? see depthcli rectify)"
         )
     values, counts = np.unique(np.round(agreed / unit).astype(np.int32), return_counts=True)
     often = counts >= max(2, _LEAST_SHARE * len(agreed))
@@ -201,7 +201,7 @@ def _reduced(views: Sequence[Image], n_pixels: int) -> tuple[Image, Image]:
     return left, right
 
 
-def _matched(views: tuple[Image, Image], low: float, top: float, window: int) -> NDArray[np.float32]:
+def _matched(views: tuple[Image, Image], low: float, top: float, window: int) -> Floats:
     """Return the disparities of a small pair from ``low`` to ``top``, (H, W) float32, NaN where the views disagree."""
     width, search = views[0].shape[1], SearchRange(int(np.floor(low)), int(np.ceil(top)))
     pair, stages = search.shift(StereoPair(*views)), quick_stages(window=window, paths=4)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
-from depthcli.core.maps import DisparityMap
+from depthcli.core.maps import DisparityMap, Floats
 from depthcli.core.result import Result
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.winners import winners
@@ -53,7 +53,7 @@ class CostMinima:
     """
 
     left: NDArray[np.uint16]  # (H, W), disparities of the cheapest cells
-    minima: NDArray[np.float32]
+    minima: Floats
     n_disparities: int
 
     @classmethod

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.error_table import ErrorTable
 from depthcli.algorithms.filters import local_range
 from depthcli.core.frames import SparseFrame
-from depthcli.core.maps import DepthMap, Floats, Mask
+from depthcli.core.maps import DepthMap, Doubles, Floats, Mask
 
 EVIDENCE = ("residual", "gap", "gap_width", "distance", "edge", "noise", "border", "relief")
 """Names of the planes of :func:`evidence`, all binary logarithms.
@@ -46,7 +46,7 @@ class GlassErrors(NamedTuple):
     tables : for each kind, the errors at the negative sums, in multiples of the unit that ``units`` returns
     """
 
-    curves: NDArray[np.float64]
+    curves: Doubles
     tables: tuple[ErrorTable, ...]
 
 
@@ -75,13 +75,13 @@ def kinds_of(frame: SparseFrame, found: DepthMap) -> NDArray[np.int_]:
     return np.where(found.kept, 0, np.where(objects, 2, 1))
 
 
-def units(planes: NDArray[np.float32], found: DepthMap) -> Floats:
+def units(planes: Floats, found: DepthMap) -> Floats:
     """Return the unit of the errors in the tables, (H, W), meters: the sensor's noise, or a share of the depth."""
     noise = np.exp2(np.maximum(planes[EVIDENCE.index("noise")], _LEAST_NOISE), dtype=np.float64)
     return np.asarray(found.values * np.where(found.kept, noise, _UNIT), np.float32)
 
 
-def score(curves: NDArray[np.float64], kind: int, planes: NDArray[np.float32]) -> Floats:
+def score(curves: Doubles, kind: int, planes: Floats) -> Floats:
     """Return the negative sum of the curves' values at ``planes`` (F, ...); higher is more reliable."""
     total = np.zeros(planes.shape[1:], np.float32)
     for number, plane in enumerate(planes):
@@ -90,7 +90,7 @@ def score(curves: NDArray[np.float64], kind: int, planes: NDArray[np.float32]) -
     return total
 
 
-def evidence(frame: SparseFrame, found: DepthMap) -> NDArray[np.float32]:
+def evidence(frame: SparseFrame, found: DepthMap) -> Floats:
     """Return the planes ``EVIDENCE``, (F, H, W) float32, of the map ``found`` for a frame.
 
     If the frame has a mask of the objects, kept depths count as samples.

@@ -83,6 +83,6 @@ def cost_at(volume: CostVolume, disparity: Floats) -> Floats:
     max_disparity = np.float32(volume.n_disparities - 1)
     low = np.floor(np.clip(np.nan_to_num(disparity), 0, max_disparity)).astype(np.int64)
     rows, columns = np.ogrid[: low.shape[0], : low.shape[1]]
-    beside = [volume.costs[rows, columns, np.minimum(low + step, volume.n_disparities - 1)] for step in (0, 1)]
-    costs = np.minimum(*beside).astype(np.float32) / np.float32(volume.scale)
+    around = [volume.costs[rows, columns, np.minimum(low + step, volume.n_disparities - 1)] for step in (0, 1)]
+    costs = np.minimum(*around).astype(np.float32) / np.float32(volume.scale)
     return np.where(np.isfinite(disparity), costs, np.float32(np.nan))

@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.methods.kinect.disparity import Measurement
+from depthcli.methods.kinect.layers import Layer, RefinedDisparity
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 from depthcli.simulate.depth_sensor import KinectSample, simulate_kinect
 from depthcli.simulate.kinect_scenes import make_kinect_scene
@@ -59,6 +61,48 @@ def test_segments_with_a_model_of_their_own():
     given = {"lab": lab, "disparity": values, "reliable": np.where(reliable, values, np.float32(np.nan)), "core": core}
     layer = Dsrm(min_known=3, min_share=0.5, join=False)._fit(replace(measurement, **given, limit=limit), labels)
     assert [bool(layer.own[labels == k].all()) for k in range(5)] == [False, False, True, True, False]
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_measurements_are_compared_with_the_median_of_the_layers_that_have_a_surface(smooth):
+    rng = np.random.default_rng(4)
+    shape, tolerance, noise = (9, 14), 2.0, 0.5
+    values, scales = rng.uniform(18, 22, 12), rng.uniform(0.1, 1, 12)
+    bounds = np.repeat(values[:, None], 2, axis=1).astype(np.float32)
+    surfaces = Surfaces(np.zeros((12, 6)), np.zeros((12, 2)), bounds, scales.astype(np.float32), 14.0)
+    labels = rng.integers(-1, 12, (4, *shape)).astype(np.int32)
+    labels[:, 0, :5] = -1  # no surface at all
+    measured = rng.uniform(16, 24, shape).astype(np.float32)
+    reliable = np.where(rng.random(shape) < 0.5, measured, np.float32(np.nan))
+    blank, limit = np.zeros((*shape, 3), np.uint8), np.full(shape, np.inf, np.float32)
+    given = {"disparity": measured, "reliable": reliable, "noise": noise, "lab": blank, "limit": limit}
+    measurement = replace(Measurement.of(sample().frame(), 5.0, 0, False), **given)
+    layers = [Layer(layer, surfaces, layer >= 0) for layer in labels]
+    found = RefinedDisparity.of(layers, measurement, 0, tolerance, smooth)
+    for y, x in np.ndindex(*shape):
+        chosen = labels[:, y, x][labels[:, y, x] >= 0]
+        middle, scale = measured[y, x], noise
+        if chosen.size:
+            middle, scale = np.median(bounds[chosen, 0]), max(np.median(surfaces.scale[chosen]), noise)
+        agrees = abs(measured[y, x] - middle) <= tolerance * scale
+        status = DepthStatus.CORRECTED if np.isnan(reliable[y, x]) and not agrees else DepthStatus.KEPT
+        if agrees and smooth and chosen.size:
+            status = DepthStatus.SMOOTHED
+        expected = measured[y, x] if status == DepthStatus.KEPT else middle
+        assert (found.status[y, x], found.disparity[y, x]) == (status, pytest.approx(expected, rel=1e-6))
+        assert found.scale[y, x] == pytest.approx(scale, rel=1e-6)
+
+
+def test_pixels_without_a_surface_are_filled_from_pixels_of_similar_color():
+    """In turn, and with no segment that joins another."""
+    frame = sample().frame()
+    result = Dsrm(combination="in_turn", join=False, min_share=0.6)(frame)
+    depth, status = result.depth.values, result.depth.status
+    gap = np.isnan(frame.depth)
+    fallback = status == DepthStatus.FALLBACK
+    assert fallback.any() and gap[fallback].mean() > 0.5
+    assert np.isfinite(depth[fallback]).all()
+    assert not (status[gap] & DepthStatus.CORRECTED).any()
 
 
 def test_corrections_in_turn_lie_beside_the_outlines_of_segments():

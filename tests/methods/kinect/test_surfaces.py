@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from depthcli.algorithms.plane_fitting.polynomials import Surfaces
+from depthcli.algorithms.plane_fitting.polynomials import Polynomial, Surfaces
 from depthcli.methods.kinect.gap_limits import max_disparity_in_gaps
-from depthcli.methods.kinect.layers import Polynomial, add_detail, join_segments
+from depthcli.methods.kinect.layers import add_detail, join_segments
 from depthcli.methods.kinect.shadows import Shadow, Shadows
 from tests.algorithms.test_statistical_region_merging import blocks
 from tests.naive import kinect as naive

@@ -11,7 +11,7 @@ from depthcli.core.context import Clock
 from depthcli.core.method import Family
 from depthcli.core.volumes import RegisteredPair
 from depthcli.evaluation.statistics import correlation, ranks
-from depthcli.methods.registration.pipeline.search import isotonic, monotone
+from depthcli.methods.registration.pipeline.search import monotone
 from depthcli.problems.registration import RegisterConfidenceConfig
 from depthcli.simulate.deformed_volumes import make_deformed_pair, smooth_noise
 from tests.contracts.inputs import soft_volume
@@ -110,12 +110,6 @@ def test_working_grid_has_cubic_voxels():
     assert shape == tuple(int(np.ceil(n * s / side - 1e-6)) for n, s in zip((10, 40, 60), (4, 1, 1), strict=True))
     assert start == tuple((s - 1) / 2 for s in step)
     assert np.prod(config(max_voxels=1000).grid((100, 100, 100), (1.0, 1.0, 1.0))[0]) <= 1000
-
-
-def test_isotonic_regression_pools_falling_values():
-    found = isotonic(np.array([1.0, 3.0, 2.0, 4.0, 0.0]), np.array([1.0, 1.0, 1.0, 1.0, 2.0]))
-    np.testing.assert_allclose(found, [1, 1.8, 1.8, 1.8, 1.8])
-    assert isotonic(np.arange(4.0), np.ones(4)).tolist() == [0, 1, 2, 3]
 
 
 def test_fitted_error_rises_with_the_score():

@@ -220,7 +220,7 @@ def test_no_shell_reads_the_name_of_a_scene(here: Path, made_scenes: Path, name:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        (["run=[./absent, '{left}']"], r"program: \./absent: neither beside the config file nor"),
+        (["run=[./absent, '{left}']"], r"program: \./absent: no such program"),
         (["run=[python, '{zzzz}']"], r"no placeholder \{zzzz\}; there are: left, right, max_disparity"),
         (["run=[python, '{']"], "a brace is written"),
         (["run=[python, '{max_disparity:03}']"], "no placeholder"),

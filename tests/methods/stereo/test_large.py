@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
+from depthcli.core.context import Clock
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
@@ -19,9 +20,9 @@ from depthcli.methods.stereo import tiling
 from depthcli.methods.stereo.matching import Limits, host_bytes, match
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
-from depthcli.methods.stereo.stages import PairMatcher
+from depthcli.methods.stereo.stages import CostStages, PairMatcher
 from depthcli.methods.stereo.tiling import tile_by_tile
-from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, PROCESS_BYTES, Candidates, Margins, Tile
+from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, PROCESS_BYTES, Candidates, Margins, Span, Tile
 from depthcli.methods.stereo.tiling.tile_by_tile import Prior, TiledWinners, refined_map
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.simulate.stereo_scenes import make_scene
@@ -108,6 +109,41 @@ def test_tiles_cover_the_image_once_and_search_all_candidates():
             assert min(searched) <= tile.columns[0]  # the first pixel has a candidate
         assert np.all(seen == 1)
     assert candidates.tiles(Margins(20, 8, False), lambda tile: False) is None
+
+
+@pytest.mark.parametrize("cost", ["absolute_difference", "intensity_gradient"])
+def test_the_costs_of_a_tile_are_parts_of_the_costs_of_the_pair(cost):
+    pair, stages, top = blocky_pair(30, 40), CostStages(cost=cost, optimization="scanline"), 25
+    whole = stages.volume(pair, top, Clock()).costs
+    spans = (Span(0, 4), Span(9, 5), Span(17, 8))
+    tile = Tile((0, 20), (5, 35), (0, 20, 3, 38), spans)
+    volume, table = tile_by_tile._tile_volume(stages, pair, tile, None, Clock())
+    assert volume.costs.shape == (20, 35, 4 + 5 + 8 + 2)
+    columns, start = np.arange(3, 38), 0
+    for (low, count), row in zip(spans, table.tolist(), strict=True):
+        assert row == [start, count, low]
+        cells, expected = volume.costs[:, :, start : start + count], whole[:20, 3:38, low : low + count]
+        # The tile's right image has the matches of all its columns at the span's first disparity.
+        edge = stages.cost.halo()
+        match = columns[:, None] - (low + np.arange(count))
+        inside = (match >= max(0, 3 - low) + edge) & (match < 38 - low - edge)
+        inside[:edge] = inside[len(inside) - edge :] = False
+        rows = slice(edge, 20 - edge)
+        np.testing.assert_array_equal(cells[rows, inside], expected[rows, inside])
+        start += count + 1
+    barriers = volume.costs[:, :, [4, 10]]
+    assert (barriers == (255 if volume.costs.dtype == np.uint8 else 1e4)).all()
+
+    half = (15, 20)
+    low, high = (np.full(half, d, np.int16) for d in (2, 10))
+    prior = Prior(np.zeros(half, np.float32), Candidates.everywhere((30, 40), top), low, high, np.zeros((2, *half)), 2)
+    penalized, _ = tile_by_tile._tile_volume(stages, pair, tile, prior, Clock())
+    penalty = max(1, round(0.2 * stages.optimization.p1 * volume.scale))
+    for (first, count), (at, *_) in zip(spans, table.tolist(), strict=True):
+        disparities = np.arange(first, first + count)
+        added = np.where((disparities < 2) | (disparities > 10), penalty, 0)
+        expected = np.minimum(volume.costs[:, :, at : at + count].astype(float) + added, barriers[0, 0, 0])
+        np.testing.assert_allclose(penalized.costs[:, :, at : at + count], expected, rtol=1e-6)
 
 
 TOLERANT = {"method": "combined", "parts": [

@@ -13,7 +13,7 @@ from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.boundary.exponential import Exponential
 from depthcli.methods.stereo.boundary.gaussian import Gaussian
 from depthcli.methods.stereo.cost.intensity_gradient import IntensityGradient
-from depthcli.methods.stereo.keypoint_matching import Matches, consistent, nearest_points
+from depthcli.methods.stereo.keypoint_matching import Matches, consistent
 from depthcli.methods.stereo.segments import planes as energy
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, Split, grid_parts, segment_window
 from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges
@@ -106,21 +106,9 @@ def test_disparities_outside_the_range_cost_more(dtype, limit, penalty):
 
 def test_key_points_that_disagree_with_their_neighbors_are_dropped():
     points = [(x, y, 5.0) for x in range(4) for y in range(4)]
-    kept = consistent(_matches(*points, (1.5, 1.5, 12.0)))
+    kept = consistent(_matches(*points, (1.5, 1.5, 12.0)), 2)
     assert len(kept) == 16 and kept.disparity.max() == 5
-    assert len(consistent(_matches())) == 0
-
-
-@pytest.mark.parametrize(("centers", "points", "count"), [(0, 5, 2), (7, 1, 1), (40, 60, 9), (3, 4, 4)])
-def test_nearest_points_agree_with_a_sort(centers, points, count):
-    rng = np.random.default_rng(centers)
-    x, y = rng.integers(0, 12, (2, points)).astype(np.float32)  # some at the same place
-    center_x, center_y = rng.uniform(0, 12, (2, centers))
-    index, squared = nearest_points(center_x, center_y, x, y, count)
-    distances = (center_x[:, None] - x) ** 2 + (center_y[:, None] - y) ** 2
-    expected = np.argsort(distances, axis=1, kind="stable")[:, :count]
-    np.testing.assert_array_equal(index, expected)
-    np.testing.assert_allclose(squared, np.take_along_axis(distances, expected, axis=1))
+    assert len(consistent(_matches(), 2)) == 0
 
 
 def test_ransac_finds_the_plane_among_outliers_and_any_order():

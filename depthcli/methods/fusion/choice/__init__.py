@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.pixel_network import TrainedNetwork
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Floats, Image8
 from depthcli.core.method import Method, method_of
 from depthcli.methods.fusion.map_costs import Views
 from depthcli.methods.stereo.volume import CostVolume
@@ -25,9 +26,9 @@ class Proposals(Views):
     """N maps to choose from, with the data to judge them."""
 
     kinds: tuple[str, ...]  # names of the methods that made them
-    values: NDArray[np.float32]  # (N, H, W) float32 disparities without gaps, 0 .. D - 1
-    filled: NDArray[np.uint8]  # (N, H, W) uint8: 0 measured, 1 filled, 2 filled and hidden from the right view
-    weights: NDArray[np.float32]  # (N,) float32, weight of every map in the agreement of maps
+    values: Floats  # (N, H, W) float32 disparities without gaps, 0 .. D - 1
+    filled: Image8  # (N, H, W) uint8: 0 measured, 1 filled, 2 filled and hidden from the right view
+    weights: Floats  # (N,) float32, weight of every map in the agreement of maps
     pair: StereoPair  # the images
     volume: CostVolume  # the fused costs
     right: NDArray[np.uint16]  # (H, W) uint16 disparities of the right view
@@ -37,8 +38,8 @@ class Proposals(Views):
 class ChosenMap:
     """The chosen map, (H, W) float32, and its probability to be correct; None if the method does not compute it."""
 
-    values: NDArray[np.float32]
-    probability: NDArray[np.float32] | None = None
+    values: Floats
+    probability: Floats | None = None
 
 
 class ChoiceMethod(Method):

@@ -6,16 +6,16 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.graph_cut import binary_cut
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
+from depthcli.core.maps import Floats, Image8
 from depthcli.kernels.color_steps import BEFORE, color_steps
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
 from depthcli.methods.fusion.map_costs import NEIGHBORS, VIEW_PLANES, disagreements, misfit
 
-Weights = tuple[NDArray[np.float32], NDArray[np.float32]]
+Weights = tuple[Floats, Floats]
 """Weights of the pairs along the rows, (H, W - 1), and along the columns, (H - 1, W)."""
 
 
@@ -60,7 +60,7 @@ class LeastEnergyChoice(ChoiceMethod):
                 current = best_mix(current, proposal, neighbors, self.truncation)
         return ChosenMap(current.values)
 
-    def _costs(self, proposals: Proposals) -> NDArray[np.float32]:
+    def _costs(self, proposals: Proposals) -> Floats:
         """Return the costs of every proposal at every pixel, (N, H, W)."""
         maps = proposals.values
         plane = {name: np.empty(maps.shape, np.float32) for name in VIEW_PLANES}
@@ -77,12 +77,12 @@ class LeastEnergyChoice(ChoiceMethod):
 class ScoredMap(NamedTuple):
     """A map without gaps, its slopes, and its cost at every pixel."""
 
-    values: NDArray[np.float32]  # (H, W) float32 disparities, pixels
-    slopes: NDArray[np.float32]  # (2, H, W) float32 change to the next pixel of the row, of the column
-    cost: NDArray[np.float32]  # (H, W) float32
+    values: Floats  # (H, W) float32 disparities, pixels
+    slopes: Floats  # (2, H, W) float32 change to the next pixel of the row, of the column
+    cost: Floats  # (H, W) float32
 
 
-def neighbor_weights(image: NDArray[np.uint8], strength: float, color_scale: float, floor: float) -> Weights:
+def neighbor_weights(image: Image8, strength: float, color_scale: float, floor: float) -> Weights:
     """Return weights ``strength max(exp(-color / color_scale), floor)``; color: the largest channel difference."""
     by_color = (strength * np.maximum(np.exp(-np.arange(256) / color_scale), floor)).astype(np.float32)
     across, down = by_color[color_steps(image, BEFORE, largest=True)]
@@ -95,9 +95,7 @@ def energy(candidate: ScoredMap, weights: Weights, truncation: float) -> float:
     return float(candidate.cost.sum(dtype=np.float64)) + sum(float(costs.sum(dtype=np.float64)) for costs in pairs)
 
 
-def _pair_costs(
-    axis: int, first: ScoredMap, second: ScoredMap, weights: Weights, truncation: float
-) -> NDArray[np.float32]:
+def _pair_costs(axis: int, first: ScoredMap, second: ScoredMap, weights: Weights, truncation: float) -> Floats:
     """Return costs of neighbors that do not continue each other along their slopes; the slopes cost nothing.
 
     ``weight min(truncation, mean of |d_q - d_p - g_p| and |d_q - d_p - g_q|)`` for a pixel p of ``first`` and the next
@@ -114,8 +112,8 @@ def best_mix(
     """Return the mix of two maps with the least energy, or ``current`` itself if no mix is better.
 
     One minimum cut (fusion moves: Lempitsky et al., PAMI 2010). Pairs that it cannot represent cost more if exactly
-    one of the two pixels switches, so the energies are compared at the end. Where the maps differ by less than
-    ``min_difference`` pixels (chosen by hand), ``current`` stays.
+    one of the two pixels switches, so the energies are compared at the end. ``current``
+    stays if the maps differ by less than ``min_difference`` pixels (chosen by hand).
     """
     shape = current.values.shape
     apart = np.abs(proposal.values - current.values) >= min_difference

@@ -23,6 +23,7 @@ from depthcli.algorithms.pixel_network import (
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core import memory
 from depthcli.core.errors import InputError
+from depthcli.core.maps import Floats
 from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.kernels.lanes import WIDE, absolute_difference, load_like, minimum, splat_like, store, wide_zero
@@ -86,9 +87,9 @@ def input_names(kinds: tuple[str, ...]) -> tuple[str, ...]:
 class NetworkInputs:
     """Inputs of a pair's proposals, as planes; :meth:`rows` puts them side by side."""
 
-    values: NDArray[np.float32]  # (N, P) float32, the proposals' disparities at P pixels
-    own: NDArray[np.float32]  # (len(PROPOSAL_PLANES), N, P) float32, planes of every proposal
-    shared: NDArray[np.float32]  # (len(PIXEL_PLANES), P) float32, planes of the pixel
+    values: Floats  # (N, P) float32, the proposals' disparities at P pixels
+    own: Floats  # (len(PROPOSAL_PLANES), N, P) float32, planes of every proposal
+    shared: Floats  # (len(PIXEL_PLANES), P) float32, planes of the pixel
 
     @classmethod
     def of(cls, proposals: Proposals) -> NetworkInputs:
@@ -126,7 +127,7 @@ class NetworkInputs:
             np.clip(np.subtract(maps, above, out=above), -6, 6, out=above)
         return cls(maps.reshape(count, -1), own.reshape(*own.shape[:2], -1), shared.reshape(len(shared), -1))
 
-    def rows(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
+    def rows(self, pixels: NDArray[np.int64]) -> Floats:
         """Return the inputs of some pixels in the order of :func:`input_names`, (len(pixels), N, inputs) float32."""
         own, values = self.own[:, :, pixels], self.values[:, pixels]
         compared = own[_RELATIVE_INDICES]
@@ -205,9 +206,7 @@ class NetworkChoice(ChoiceMethod):
         return 4 * (count * (len(PROPOSAL_PLANES) + 12) + 90 + len(PIXEL_PLANES) + 2 * MAX_MAPS) + 100
 
 
-def likeliest(
-    maps: NDArray[np.float32], odds: NDArray[np.float32], support: Support, agreeing: float = 0.0
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def likeliest(maps: Floats, odds: Floats, support: Support, agreeing: float = 0.0) -> tuple[Floats, Floats]:
     """Return the values with the largest share of the softmax of ``odds`` (N, H, W), averaged over the support.
 
     The agreement of two maps falls to 0 at ``agreeing`` pixels (0: none agrees). Half of the shares that agree count
@@ -223,7 +222,7 @@ def likeliest(
     return values, probability
 
 
-def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.float32]:
+def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> Floats:
     """Return the log odds of every proposal to be correct, (N, P) float32."""
     own, shared, values = (at_least_wide(planes) for planes in (inputs.own, inputs.shared, inputs.values))
     odds = np.empty(values.shape, np.float32)

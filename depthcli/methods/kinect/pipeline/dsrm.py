@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from pydantic import Field
 
-from depthcli.algorithms.filters import joint_bilateral_fill
+from depthcli.algorithms.filters import JointBilateral, beside_steps
+from depthcli.algorithms.plane_fitting.polynomials import Polynomial
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.algorithms.segmentation.statistical_region_merging import StatisticalRegionMerging
 from depthcli.core.context import Clock
@@ -18,7 +19,7 @@ from depthcli.core.maps import DepthStatus, Floats, Ints
 from depthcli.core.result import DepthResult
 from depthcli.methods.kinect.depth_edges import near_side
 from depthcli.methods.kinect.disparity import Measurement
-from depthcli.methods.kinect.layers import Layer, Polynomial, RefinedDisparity, join_segments
+from depthcli.methods.kinect.layers import Layer, RefinedDisparity, join_segments
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.shadows import SHADOW_SIDES, Side
 
@@ -38,7 +39,7 @@ class Dsrm(KinectPipeline):
         ),
         description="layers of segments, from fine to coarse",
     )
-    model: Polynomial = Field(Polynomial(), description="what is fitted to the inverse depth of a segment")
+    model: Polynomial = Field(Polynomial(), description="model that is fitted to the inverse depth of a segment")
     jump: float = Field(5.0, gt=0, le=1000, description="a larger step is a depth edge, multiples of the noise")
     min_probability: float = Field(0.8, ge=0, lt=1, description="less probable measurements are unreliable; 0: none")
     shadows: bool | Side = Field(True, description=SHADOW_SIDES)
@@ -126,20 +127,16 @@ class Dsrm(KinectPipeline):
             finer = replace(measurement, reliable=values, core=np.zeros(shape, bool))
             surface, spread = self._fit(finer, labels).estimate(values, self.detail_reach)
             off = np.abs(values - surface) > self.tolerance * spread
-            inner = np.ones(shape, np.uint8)  # 0 next to another segment
-            across, down = labels[:, 1:] != labels[:, :-1], labels[1:] != labels[:-1]
-            inner[:, 1:][across] = inner[:, :-1][across] = 0
-            inner[1:][down] = inner[:-1][down] = 0
-            border = inner == 0
+            border = beside_steps(labels[:, 1:] != labels[:, :-1], labels[1:] != labels[:-1])
             if border.any():
-                border = cv2.distanceTransform(inner, cv2.DIST_L2, 3) < band
+                border = cv2.distanceTransform((~border).astype(np.uint8), cv2.DIST_L2, 3) < band
             replaced = (np.isnan(values) & ~np.isnan(surface)) | (off & (edge | border))
             values, scale = np.where(replaced, surface, values), np.where(replaced, spread, scale)
             status[replaced & known] = DepthStatus.CORRECTED
             status[replaced & ~known] = DepthStatus.GAP_FILLED
         missing = np.isnan(values)
         if missing.any():
-            values = joint_bilateral_fill(frame.color, values)
+            values = JointBilateral().fill(frame.color, values)
             filled = missing & ~np.isnan(values)
             scale[filled], status[filled] = measurement.noise, DepthStatus.FALLBACK
         return RefinedDisparity(values, scale, status)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from pydantic import Field
 
-from depthcli.algorithms.filters import single_thread
+from depthcli.algorithms.filters import beside_steps, single_thread
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import Floats, Image8
 from depthcli.methods.kinect.pipeline import FilterPipeline
@@ -26,18 +26,19 @@ class FastGlobalSmoother(FilterPipeline):
     smoothness: float = Field(900.0, gt=0, description="lambda of the smoother")
     sigma_color: float = Field(5.0, gt=0, description="contrast that stops the smoothing, grey levels")
     edge_band: int = Field(2, ge=0, le=64, description="pixels around a depth edge that are unreliable")
-    edge_confidence: float = Field(0.01, ge=0, le=1, description="that of unreliable pixels beside depth edges")
+    edge_confidence: float = Field(0.01, ge=0, le=1, description="confidence of unreliable pixels at depth edges")
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
 
     def filtered(self, frame: RgbdFrame, measured: Floats, noise: float) -> Floats:
         known = ~np.isnan(measured)
         confidence = known.astype(np.float32)
         if self.edge_band:
-            edge = np.zeros(frame.shape, np.uint8)  # next to steps, and between known and unknown pixels
-            for lines, edges in ((measured, edge), (measured.T, edge.T)):
-                step = (np.abs(np.diff(lines)) > self.jump * noise) | np.diff(np.isnan(lines))
-                edges[:, 1:] |= step
-                edges[:, :-1] |= step
+            # Steps, and changes between known and unknown pixels.
+            across, down = (
+                (np.abs(np.diff(measured, axis=axis)) > self.jump * noise) | np.diff(known, axis=axis)
+                for axis in (1, 0)
+            )
+            edge = beside_steps(across, down).astype(np.uint8)
             band = cv2.dilate(edge, np.ones((2 * self.edge_band + 1,) * 2, np.uint8)) > 0
             confidence[known & band] = self.edge_confidence
         return weighted_smoothing(frame.color, measured, confidence, self.smoothness, self.sigma_color)

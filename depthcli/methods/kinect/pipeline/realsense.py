@@ -59,7 +59,7 @@ class Realsense(SequencePipeline):
         if state is None:
             state = RealsenseState(np.full(frame.shape, np.nan, np.float32), np.zeros(frame.shape, np.uint8))
         if state.last.shape != frame.shape:
-            raise ValueError(f"the frame's size {frame.shape} is not that of the previous frames {state.last.shape}")
+            raise ValueError(f"the frame's size {frame.shape} differs from the previous frames' {state.last.shape}")
         values = measured.copy()
         for _ in range(self.magnitude):
             for lines in (values, values.T):

@@ -18,8 +18,8 @@ from depthcli.core.result import DepthResult
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.kinect.camera_motion import MovedView, displacement, estimated_motion, view_after
 from depthcli.methods.kinect.disparity import Measurement
-from depthcli.methods.kinect.gap_filling import passed
-from depthcli.methods.kinect.layers import SHADOW_PENALTY, Layer
+from depthcli.methods.kinect.gap_filling import SHADOW_COST, passed
+from depthcli.methods.kinect.layers import Layer
 from depthcli.methods.kinect.pipeline import SequencePipeline
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 
@@ -65,7 +65,7 @@ class Sequence(SequencePipeline, Dsrm):
             return self._start(frame)
         if state.color.shape != frame.color.shape:
             raise ValueError(
-                f"the frame's size {frame.shape} is not that of the previous frames {state.color.shape[:2]}"
+                f"the frame's size {frame.shape} differs from the previous frames' {state.color.shape[:2]}"
             )
         clock = Clock()
         clock.start("unreliable")
@@ -163,25 +163,20 @@ def carried_labels(layer: Layer, still: Mask, color: Image8, measurement: Measur
     A still pixel keeps its segment, unless its reliable disparity is off the surface by more than a jump plus three
     scales, or the surface is nearer than its shadow allows by more than a jump. Other pixels take the segment at the
     end of the cheapest path through 8-neighbors. A step costs the absolute color differences, plus the distance of the
-    surface from the reliable disparity in fifths of the noise, plus ``SHADOW_PENALTY`` if the surface is nearer than
+    surface from the reliable disparity in fifths of the noise, plus ``SHADOW_COST`` if the surface is nearer than
     the shadow allows. Two raster sweeps search the paths and may miss bent ones. The label is -1 if no path reaches a
     pixel.
     """
-    surfaces = layer.surfaces
-    shapes = (surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit)
-    cost, given = np.empty(still.shape, np.float32), (measurement.reliable, measurement.limit)
-    run_bands(
-        _held, len(layer.labels), layer.labels, still, *given, *shapes, surfaces.scale,
-        np.float32(measurement.jump), cost,
-    )  # fmt: skip
+    cost, given = np.empty(still.shape, np.float32), (measurement.reliable, measurement.limit, layer.surfaces)
+    run_bands(_held, len(cost), layer.labels, still, *given, np.float32(measurement.jump), cost)
     labels, own = np.where(cost > 0, np.int32(-1), layer.labels), layer.own.copy()
     pixels = np.argwhere(cost > 0).astype(np.int32)
-    _sweep(pixels, cost, labels, own, color, *given, *shapes, np.float32(5 / measurement.noise))
+    _sweep(pixels, cost, labels, own, color, *given, np.float32(5 / measurement.noise))
     return labels, own
 
 
 @jit
-def _held(begin, end, labels, still, reliable, limit, coefficients, center, bounds, unit, scale, jump, cost):
+def _held(begin, end, labels, still, reliable, limit, surfaces, jump, cost):
     # Set the cost to 0 at pixels that keep their segment, and to infinity elsewhere.
     width = labels.shape[1]
     for y in range(begin, end):
@@ -190,14 +185,14 @@ def _held(begin, end, labels, still, reliable, limit, coefficients, center, boun
             cost[y, x] = np.inf
             if s < 0 or not still[y, x]:
                 continue
-            value = surface_at(coefficients, center, bounds, unit, np.int64(s), float(y), float(x))
+            value = surface_at(surfaces, np.int64(s), float(y), float(x))
             off = abs(reliable[y, x] - value)
-            if not off > jump + 3 * scale[s] and not value > limit[y, x] + jump:  # False if unknown
+            if not off > jump + 3 * surfaces.scale[s] and not value > limit[y, x] + jump:  # False if unknown
                 cost[y, x] = 0
 
 
 @jit
-def _sweep(pixels, cost, labels, own, color, reliable, limit, coefficients, center, bounds, unit, weight):
+def _sweep(pixels, cost, labels, own, color, reliable, limit, surfaces, weight):
     height, width = labels.shape
     for step in (1, -1):
         for y, x in pixels[::step]:
@@ -208,12 +203,12 @@ def _sweep(pixels, cost, labels, own, color, reliable, limit, coefficients, cent
                 total = cost[v, u]
                 for c in range(3):
                     total += np.float32(abs(np.int64(color[y, x, c]) - np.int64(color[v, u, c])))
-                value = surface_at(coefficients, center, bounds, unit, np.int64(labels[v, u]), float(y), float(x))
+                value = surface_at(surfaces, np.int64(labels[v, u]), float(y), float(x))
                 apart = weight * np.float32(abs(reliable[y, x] - value))
                 if not np.isnan(apart):
                     total += apart
                 if value > limit[y, x]:
-                    total += np.float32(SHADOW_PENALTY)
+                    total += np.float32(SHADOW_COST)
                 if total < cost[y, x]:
                     cost[y, x] = total
                     labels[y, x] = labels[v, u]

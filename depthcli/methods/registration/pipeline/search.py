@@ -51,7 +51,7 @@ class WorkingGrid(NamedTuple):
 class RegistrationSearch(RegistrationPipeline):
     """Search around every voxel for a better match than the registration's; a better match indicates an error."""
 
-    features: tuple[Feature, ...] = Field((Mind(),), min_length=1, max_length=4, description="what is compared")
+    features: tuple[Feature, ...] = Field((Mind(),), min_length=1, max_length=4, description="features to compare")
     iso: float | None = Field(
         None, gt=0, le=100, description="side of a working voxel, mm; null: as many voxels as the fixed volume has"
     )
@@ -304,11 +304,13 @@ def monotone(score: NDArray[np.float32], error: NDArray[np.float32], fitted: NDA
     regression. A small slope makes the result increase strictly with the score, so that its order is kept. Beyond the
     first and last bin the result continues at the mean slope, but not below 0.
     """
+    from scipy.optimize import isotonic_regression  # takes long to import
+
     x, y = score[fitted].astype(np.float64), error[fitted].astype(np.float64)
     order = np.argsort(x, kind="stable")
     groups = np.array_split(order, min(_N_BINS, max(1, len(order) // _MIN_PER_BIN)))
     centers = np.array([x[group].mean() for group in groups])
-    means = isotonic(np.array([y[group].mean() for group in groups]), np.array([len(g) for g in groups], float))
+    means = isotonic_regression([y[group].mean() for group in groups], weights=[len(group) for group in groups]).x
     centers, first = np.unique(centers, return_index=True)
     means = means[first]
     low, high = float(score.min()), float(score.max())
@@ -322,17 +324,3 @@ def monotone(score: NDArray[np.float32], error: NDArray[np.float32], fitted: NDA
     mapped = np.interp(score, centers, means + rise * (centers - centers[0]))
     result: NDArray[np.float32] = np.maximum(mapped, 0).astype(np.float32)
     return result
-
-
-def isotonic(values: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the non-decreasing sequence closest to ``values`` in weighted squares, by pool-adjacent-violators."""
-    blocks: list[list[float]] = []
-    for value, weight in zip(values.tolist(), weights.tolist(), strict=True):
-        blocks.append([value, weight, 1])
-        while len(blocks) > 1 and blocks[-2][0] > blocks[-1][0]:
-            value, weight, count = blocks.pop()
-            last = blocks[-1]
-            last[0] = (last[0] * last[1] + value * weight) / (last[1] + weight)
-            last[1] += weight
-            last[2] += count
-    return np.repeat([b[0] for b in blocks], [int(b[2]) for b in blocks])

@@ -12,11 +12,11 @@ from typing import Annotated, Literal, Self, cast
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from depthcli.core.context import Clock, Context
 from depthcli.core.frames import Image, StereoPair
+from depthcli.core.maps import Floats
 from depthcli.methods.stereo.adjustment.noise import denoised
 from depthcli.methods.stereo.adjustment.right_view import (
     BLOCK,
@@ -34,7 +34,7 @@ Adjust = Annotated[
     tuple[Literal["noise", "rows", "light"], ...],
     Field(
         max_length=3,
-        description="what is adjusted before matching: noise (averaged away in both images where it is strong, as in "
+        description="adjustments before matching: noise (averaged away in both images where it is strong, as in "
         "the dark), rows of the right image (imperfect rectification), its light (exposure, lamps)",
     ),
 ]
@@ -111,7 +111,7 @@ def _reduced(pair: StereoPair, max_disparity: int) -> tuple[StereoPair, int]:
     return StereoPair(*StereoPair(left, right, pair.bits).color8), factor
 
 
-def _estimated(reduced: StereoPair, max_disparity: int, what: Adjust) -> tuple[Correction, NDArray[np.float32] | None]:
+def _estimated(reduced: StereoPair, max_disparity: int, what: Adjust) -> tuple[Correction, Floats | None]:
     """Return the correction of a reduced pair's right image, and the disparities used to estimate it."""
     correction = previous = IDENTITY
     disparity, max_matches = None, 0
@@ -133,7 +133,7 @@ def _estimated(reduced: StereoPair, max_disparity: int, what: Adjust) -> tuple[C
     return correction, disparity
 
 
-def _matched(pair: StereoPair, max_disparity: int) -> NDArray[np.float32] | None:
+def _matched(pair: StereoPair, max_disparity: int) -> Floats | None:
     # Disparities of a reduced pair, NaN without a match; None if there are too few.
     if min(pair.shape) < BLOCK or max_disparity + 1 < _MIN_DISPARITIES:
         return None

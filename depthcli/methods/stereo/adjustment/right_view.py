@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.frames import Image, StereoPair
+from depthcli.core.maps import Doubles, Floats, Image8
 from depthcli.kernels.jit import empty, helper, jit, run_bands
 
 CELL = 4  # side of a cell, which has one gain, pixels of the reduced size
@@ -42,8 +43,8 @@ class Correction:
 
     # (6,) rows by which a point is lower in the right image than in the left one, pixels of the reduced size:
     # coefficients of 1, u, v, u u, u v, v v, for column u and row v from -1 to 1.
-    row_shift: NDArray[np.float64]
-    gains: NDArray[np.float32]  # (h, w, 3) factors, one per cell of 4 x 4 pixels of the reduced size, or (1, 1, 3)
+    row_shift: Doubles
+    gains: Floats  # (h, w, 3) factors, one per cell of 4 x 4 pixels of the reduced size, or (1, 1, 3)
 
     def apply(self, pair: StereoPair, factor: int) -> StereoPair:
         """Return ``pair``, which is ``factor`` times the reduced size, with its right image corrected."""
@@ -77,8 +78,8 @@ def cubic(p0, p1, p2, p3, t):
 
 def resample(
     image: NDArray[Any],
-    row_shift: NDArray[np.float64],
-    gains: NDArray[np.float32],
+    row_shift: Doubles,
+    gains: Floats,
     cell: int,
     top: np.float32,
     out: NDArray[Any],
@@ -148,9 +149,7 @@ def _resample(begin, end, source, channels, row_shift, along, cell, top, result)
                 target[k] = kind(min(max(value * gain + half, np.float32(0)), top))
 
 
-def estimate_row_shift(
-    disparity: NDArray[np.float32], left: Image, right: Image, initial: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def estimate_row_shift(disparity: Floats, left: Image, right: Image, initial: Doubles) -> Doubles:
     """Return the (6,) coefficients of the vertical shift of matches: the best of a few Gauss-Newton steps.
 
     Images are (H, W, 3) uint8, the right one with its light adjusted but not its rows; ``disparity`` is NaN without a
@@ -184,9 +183,9 @@ def estimate_row_shift(
 class Details(NamedTuple):
     """Band-passed grey levels of an image and their slopes along x and y, (H, W) float32."""
 
-    grey: NDArray[np.float32]
-    dx: NDArray[np.float32]
-    dy: NDArray[np.float32]
+    grey: Floats
+    dx: Floats
+    dy: Floats
 
     @classmethod
     def of(cls, image: Image) -> Details:
@@ -253,7 +252,7 @@ def sum_blocks(begin, end, disparity, left, right, row_shift, sums):
                 block[6] += weight * dy * residual
 
 
-def estimate_gains(disparity: NDArray[np.float32], left: Image, right: Image) -> NDArray[np.float32]:
+def estimate_gains(disparity: Floats, left: Image, right: Image) -> Floats:
     """Return the local ratio of left to right grey levels of matches, (ceil(H / 4), ceil(W / 4), 3) float32.
 
     The images are (H, W, 3) uint8; the right one has no gains applied. The ratio is a mean over matches around every
@@ -266,7 +265,7 @@ def estimate_gains(disparity: NDArray[np.float32], left: Image, right: Image) ->
     y, x = y[sample], x[sample]
     u = np.maximum(x - np.rint(disparity[y, x]).astype(np.int64), 0)
     median = np.asarray(np.median((left[y, x] + _OFFSET) / (right[y, u] + _OFFSET), axis=0), np.float32)
-    gains: NDArray[np.float32] = np.zeros((*cells, 3), np.float32) + median
+    gains: Floats = np.zeros((*cells, 3), np.float32) + median
     for max_ratio in _MAX_RATIOS:
         sums = np.zeros((3, *cells, 3), np.float32)
         run_bands(sum_light, sums.shape[1], disparity, left, right, gains, np.float32(max_ratio), sums)
@@ -278,9 +277,7 @@ def estimate_gains(disparity: NDArray[np.float32], left: Image, right: Image) ->
     return np.asarray(np.clip(gains, *_GAIN_BOUNDS), np.float32)
 
 
-def light_trust(
-    disparity: NDArray[np.float32], left: Image, right: Image, factor: int, shape: tuple[int, int]
-) -> NDArray[np.uint8]:
+def light_trust(disparity: Floats, left: Image, right: Image, factor: int, shape: tuple[int, int]) -> Image8:
     """Return how far grey levels of corrected matches agree: (H, W) uint8 of the full ``shape``, 255 for "entirely".
 
     ``factor`` is the full size divided by the size of ``disparity`` and of the images, which are (H, W, 3) uint8.
@@ -297,8 +294,8 @@ def light_trust(
     return np.ascontiguousarray(whole[: shape[0], : shape[1]], np.uint8)
 
 
-def _means(sums: NDArray[np.float32]) -> list[list[NDArray[np.float32]]]:
-    def mean(grid: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+def _means(sums: Floats) -> list[list[Floats]]:
+    def mean(grid: Floats, sigma: float) -> Floats:
         return np.asarray(cv2.GaussianBlur(grid, (0, 0), sigma / CELL, borderType=cv2.BORDER_REFLECT), np.float32)
 
     return [[mean(grid, sigma) for grid in sums] for sigma in (_WIDE_SIGMA, _LOCAL_SIGMA)]

@@ -9,11 +9,11 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Floats, Image8
 from depthcli.core.method import Odd
 from depthcli.kernels.exponential import exp2_minus
 from depthcli.kernels.jit import float32, helper, jit, run_bands, zeros
@@ -60,7 +60,7 @@ class AdaptiveWeight(Aggregator):
         )  # fmt: skip
         return CostVolume(out, volume.scale * fixed_point)
 
-    def planes(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def planes(self, image: Image8) -> Floats:
         """Return the colors of an (H, W, 3) image in ``color_space``, (H, 3, W) float32."""
         colors = image.astype(np.float32)
         if self.color_space == "lab":

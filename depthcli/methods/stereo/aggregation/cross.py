@@ -11,6 +11,7 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Floats, Image8
 from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
@@ -36,7 +37,7 @@ class Cross(Aggregator):
     length: int = Field(34, ge=1, le=255, description="longest arm of a support (L1), pixels")
     threshold: int = Field(20, ge=0, le=255, description="largest color difference within an arm (tau1), grey levels")
     inner_length: int = Field(
-        17, ge=0, le=255, description="arm length beyond which inner_threshold holds (L2), pixels"
+        17, ge=0, le=255, description="arm length beyond which inner_threshold applies (L2), pixels"
     )
     inner_threshold: int = Field(
         6, ge=0, le=255, description="largest color difference beyond inner_length (tau2), grey levels"
@@ -48,11 +49,11 @@ class Cross(Aggregator):
     )
     iterations: int = Field(4, ge=1, le=16, description="number of aggregations, each of the previous one's means")
     support: Literal["reference", "intersection"] = Field(
-        "reference", description="reference: arms of the left view; intersection: cut to those of the matched pixel"
+        "reference", description="reference: arms of the left view; intersection: cut to the arms of the matched pixel"
     )
     smoothing: bool = Field(True, description="median-filter the image (3 x 3) before arms are grown")
 
-    def arms(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def arms(self, image: Image8) -> Image8:
         """Return the (4, H, W) uint8 arms of an (H, W, C) image."""
         if self.smoothing:
             image = np.asarray(cv2.medianBlur(image, 3), np.uint8)
@@ -97,7 +98,7 @@ class Cross(Aggregator):
         return CostVolume(means, volume.scale)
 
 
-def _inverse_areas(arms: NDArray[np.uint8], horizontal_first: bool) -> NDArray[np.float32]:
+def _inverse_areas(arms: Image8, horizontal_first: bool) -> Floats:
     # 1 / number of pixels of every support, (H, W).
     first, second = (arms[:2], arms[2:]) if horizontal_first else (arms[2:], arms[:2])
     spans = first[0].astype(np.int64) + first[1] + 1
@@ -241,13 +242,13 @@ def _intersected_means(begin, end, spans, arms, target, along_rows, means):
 
 
 def cross_arms(
-    image: NDArray[np.uint8],
+    image: Image8,
     length: int,
     threshold: int,
     inner_length: int,
     inner_threshold: int,
     consecutive: bool = True,
-) -> NDArray[np.uint8]:
+) -> Image8:
     """Return the arm lengths of every pixel of an (H, W, C) uint8 image: (4, H, W) uint8, left, right, up, down.
 
     An arm grows while (1) the next pixel differs from the center by at most ``threshold`` and, if ``consecutive``,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.regions import RegionGraph
+from depthcli.core.maps import Doubles
 from depthcli.core.method import Method, method_of
 
 
@@ -30,10 +31,10 @@ class ColorBoundary(BoundaryCost):
 
     color_scale: float = Field(150.0, gt=0, le=1e6, description="scale of color differences (thesis: sigma), levels")
     color: Literal["rgb", "grey"] = Field(
-        "rgb", description="difference (thesis: tau): Euclidean, or that of the means of red, green and blue"
+        "rgb", description="difference (thesis: tau): Euclidean, or between the means of red, green and blue"
     )
 
-    def __call__(self, graph: RegionGraph) -> NDArray[np.float64]:
+    def __call__(self, graph: RegionGraph) -> Doubles:
         squared = graph.distances
         if self.color == "grey":
             grey = graph.means.mean(axis=1)
@@ -41,7 +42,7 @@ class ColorBoundary(BoundaryCost):
         return np.asarray(graph.boundary * self.falloff(squared / self.color_scale**2), np.float64)
 
     @abstractmethod
-    def falloff(self, squared: NDArray[np.float64]) -> NDArray[np.float64]:
+    def falloff(self, squared: Doubles) -> Doubles:
         """Return the cost of a boundary per pixel, for squared color differences over the squared scale."""
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from depthcli.core.maps import Doubles
 from depthcli.methods.stereo.boundary import ColorBoundary
 
 
 class Exponential(ColorBoundary):
     """``beta exp(-tau / sigma)``: lower than ``gaussian`` for differences below sigma, and higher above."""
 
-    def falloff(self, squared: NDArray[np.float64]) -> NDArray[np.float64]:
+    def falloff(self, squared: Doubles) -> Doubles:
         return np.exp(-np.sqrt(squared))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from depthcli.core.maps import Doubles
 from depthcli.methods.stereo.boundary import ColorBoundary
 
 
 class Gaussian(ColorBoundary):
     """``beta exp(-tau^2 / sigma^2)``: beta is the length of the boundary in pixels, tau the color difference."""
 
-    def falloff(self, squared: NDArray[np.float64]) -> NDArray[np.float64]:
+    def falloff(self, squared: Doubles) -> Doubles:
         return np.exp(-squared)

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Floats
 from depthcli.core.method import Method, Odd, method_of
 from depthcli.methods.stereo.volume import CostVolume
 
@@ -55,7 +55,7 @@ class CostMeasure(Method):
 _TRANSFERRED_WEIGHT = 0.4  # part of the weight lost by measures of grey levels that the others gain; not from a paper
 
 
-def light_weights(measures: Sequence[CostMeasure | None], pair: StereoPair) -> NDArray[np.float32] | None:
+def light_weights(measures: Sequence[CostMeasure | None], pair: StereoPair) -> Floats | None:
     """Return the weights of M measures in a sum at every pixel, (M, H, W), from its light trust; None: all are 1.
 
     If the light differs, measures that compare grey levels have weights below 1 and the others above 1. The sum of all

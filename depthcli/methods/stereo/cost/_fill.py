@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.maps import Image8
 from depthcli.kernels.jit import empty, intrinsic, jit, run_bands, types, zeros
 from depthcli.kernels.lanes import (
     SHORT_LANES,
@@ -34,7 +35,7 @@ def popcount(typingctx, value):
     return types.uint64(types.uint64), codegen
 
 
-def hamming_volume(left: NDArray[np.uint64], right: NDArray[np.uint64], costs: NDArray[np.uint8]) -> None:
+def hamming_volume(left: NDArray[np.uint64], right: NDArray[np.uint64], costs: Image8) -> None:
     """Write the Hamming distance of (H, W) uint64 bit strings into (H, W, D) uint8."""
     run_bands(_count_bits, len(costs), left, right, costs)
 
@@ -58,7 +59,7 @@ def _count_bits(begin, end, left, right, costs):
 def difference_volume(
     left: NDArray[Any],
     right: NDArray[Any],
-    costs: NDArray[np.uint8],
+    costs: Image8,
     limit: int,
     sampling: str = "exact",
     shift: int = 0,

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Floats, Image8
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.exponential import exp_minus_16
 from depthcli.kernels.jit import helper, jit, run_bands
@@ -50,7 +50,7 @@ class Combined(CostMeasure):
 
     def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
         unit, n_padded = 255 // len(self.parts), max(n_disparities, LANES)
-        total: NDArray[np.uint8] = memory.empty((*pair.shape, n_padded), np.uint8)
+        total: Image8 = memory.empty((*pair.shape, n_padded), np.uint8)
         weights = light_weights([part.cost for part in self.parts], pair)
         if weights is None:
             weights = np.ones((len(self.parts), pair.shape[0], 1), np.float32)
@@ -64,7 +64,7 @@ class Combined(CostMeasure):
         return CostVolume(np.ascontiguousarray(total[:, :, :n_disparities]), float(unit))
 
 
-def part_shares(lambda_: float) -> NDArray[np.float32]:
+def part_shares(lambda_: float) -> Floats:
     """Return the (256,) float32 terms in [0, 1) of all stored costs in the sum; ``lambda_`` is in stored units."""
     shares = np.empty(256, np.float32)
     _share(_rate(lambda_), shares)

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import Image, StereoPair
+from depthcli.core.maps import Doubles
 from depthcli.methods.stereo.cost import CostMeasure, Sampling
 from depthcli.methods.stereo.cost._fill import difference_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
@@ -60,7 +61,7 @@ def image_gradient(image: Image, sigma: float) -> NDArray[np.int16]:
     return np.rint(derivatives).astype(np.int16)
 
 
-def derivative_filters(sigma: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def derivative_filters(sigma: float) -> tuple[Doubles, Doubles]:
     """Return the five taps of a Gaussian and of its derivative, whose response to a ramp of 1 per pixel is 1."""
     offsets = np.arange(-2, 3)
     smooth = np.exp(-(offsets**2) / (2 * sigma**2))

@@ -6,11 +6,11 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Floats, Image8
 from depthcli.methods.stereo.cost import CostMeasure
 from depthcli.methods.stereo.cost.gradient import derivative_filters
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
@@ -34,7 +34,7 @@ class IntensityGradient(CostMeasure):
         None, description="largest difference of intensities and of gradients, grey levels; null: none"
     )
     outside: Annotated[float, Field(ge=0, le=5000)] | Literal["border"] = Field(
-        120.0, description="cost of a match outside the right image, grey levels; border: that of its nearest column"
+        120.0, description="cost of a match outside the right image, grey levels; border: as in the nearest column"
     )
 
     bytes_per_cost = 4
@@ -63,7 +63,7 @@ class IntensityGradient(CostMeasure):
             fill_outside(costs, np.float32(self.outside))
         return CostVolume(costs)
 
-    def _features(self, color: NDArray[np.uint8], grey: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def _features(self, color: Image8, grey: Image8) -> Floats:
         # (5, H, W) or (9, H, W): the channels, and the derivatives along x and y; of grey images three times these.
         smooth, slope = derivative_filters(1.0)
         slope = slope / slope[slope > 0].sum()

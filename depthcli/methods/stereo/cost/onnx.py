@@ -6,12 +6,12 @@ from functools import lru_cache
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Floats
 from depthcli.kernels.jit import jit, run_bands, zeros
 from depthcli.methods.stereo.cost import CostMeasure
 from depthcli.methods.stereo.networks import (
@@ -39,7 +39,7 @@ class NetworkCost(Network, CostMeasure):
 
     normalization: Normalization = Field("0-255", description="range of the values that the network takes")
     color_order: ColorOrder = Field("rgb", description="order of the channels that the network takes")
-    multiple: int = Field(1, ge=1, le=1024, description="what the sides of images must be a multiple of, pixels")
+    multiple: int = Field(1, ge=1, le=1024, description="divisor of the images' sides, pixels")
     distance: Literal["dot", "l1"] = Field(
         "dot", description="dot: 1 - dot product of the vectors scaled to length 1; l1: mean absolute difference"
     )
@@ -87,24 +87,26 @@ def _input_of(session: Session, multiple: int) -> tuple[ImageInput, int]:
     InputError if the network does not give a vector for each pixel of one image of any size.
     """
     if session.counts or len(session.images) != 1 or session.images[0].channels not in (None, 1, 3):
-        raise InputError(f"{session.model}: want a network with one image as its input, grey or in color")
+        raise InputError(f"{session.model}: expected a network with one image as its input, grey or in color")
     (target,) = session.images
     if target.size != (None, None):
-        raise InputError(f"{session.model}: takes images of one size; want a network that gives features at any size")
+        raise InputError(f"{session.model}: takes images of one size; expected a network for any size")
     side = -(-_PROBE // multiple) * multiple
     features = _features(session, target, np.zeros((side, side, target.channels or 3), np.float32))
     missing = side - features.shape[1]
     if features.shape[1] != features.shape[2] or missing % 2 or not 0 <= missing < side // 2:
         shown = f"{features.shape[2]} x {features.shape[1]} for an image of {side} x {side}"
-        raise InputError(f"{session.model}: gives features of {shown} pixels; want a vector for each pixel")
+        raise InputError(f"{session.model}: gives features of {shown} pixels; expected a vector for each pixel")
     return target, missing // 2
 
 
-def _features(session: Session, target: ImageInput, image: NDArray[np.float32]) -> NDArray[np.float32]:
+def _features(session: Session, target: ImageInput, image: Floats) -> Floats:
     # (C, H, W) features of an (H, W, 1 or 3) image.
     output = next(iter(session.run({target.name: target.array(image)}).values()))
     if output.ndim != 3:
-        raise InputError(f"{session.model}: its first output has shape {output.shape}; want channels, rows, columns")
+        raise InputError(
+            f"{session.model}: its first output has shape {output.shape}; expected channels, rows, columns"
+        )
     return np.asarray(output.transpose(2, 0, 1) if target.channels_last else output, np.float32)
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import Image, StereoPair
+from depthcli.core.maps import Image8
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.cost import CostMeasure, Side, window_check
 from depthcli.methods.stereo.cost._fill import difference_volume
@@ -35,7 +35,7 @@ class Rank(CostMeasure):
         return CostVolume(costs, 1.0)
 
 
-def rank_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint8]:
+def rank_transform(image: Image, window: tuple[int, int]) -> Image8:
     """Count the pixels darker than the center in the ``window`` (width, height) of every pixel, (H, W) uint8.
 
     The border pixels of the image are repeated outwards.

@@ -6,11 +6,11 @@ from typing import Annotated, ClassVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Doubles, Floats, Image8
 from depthcli.kernels.jit import helper, jit, run_bands, zeros
 from depthcli.methods.stereo.cost import CostMeasure, Side, window_check
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
@@ -49,9 +49,7 @@ class Zncc(CostMeasure):
         return CostVolume(costs, float(self.SCALE))
 
 
-def _moments(
-    padded: NDArray[np.uint8], window: tuple[int, int], noise: float
-) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+def _moments(padded: Image8, window: tuple[int, int], noise: float) -> tuple[Doubles, Floats]:
     # Mean of every window, and 1 / sqrt(variance + noise^2), of an image that is padded by half a window.
     ry, rx = window[1] // 2, window[0] // 2
     inner = slice(ry, padded.shape[0] - ry), slice(rx, padded.shape[1] - rx)

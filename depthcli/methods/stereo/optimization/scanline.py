@@ -10,6 +10,7 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Image8
 from depthcli.kernels.color_steps import color_steps
 from depthcli.kernels.jit import helper, jit, n_threads, run_bands
 from depthcli.methods.stereo.optimization import Optimizer
@@ -76,7 +77,7 @@ class Scanline(Optimizer):
 def _sweep_both(
     costs: NDArray[Any],
     total: NDArray[np.uint16],
-    edges: NDArray[np.uint8],
+    edges: Image8,
     table: NDArray[Any],
     diagonal: bool,
     state: NDArray[Any],

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.algorithms.filters import single_thread
 from depthcli.core.context import Clock
-from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.maps import DisparityMap, Floats, Image8, Status
 from depthcli.core.method import ConfigModel
 from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.methods.stereo.refinement.background_fill import fill_background
@@ -39,9 +39,7 @@ class OpencvMatcher(StereoPipeline):
     wls: Wls | None = Field(None, description="weighted-least-squares filter of cv2.ximgproc; null: off")
     fill: bool = Field(True, description="fill pixels without a value with the background of their row")
 
-    def matched(
-        self, matcher: Any, left: NDArray[np.uint8], right: NDArray[np.uint8], max_disparity: int, margin: int
-    ) -> StereoResult:
+    def matched(self, matcher: Any, left: Image8, right: Image8, max_disparity: int, margin: int) -> StereoResult:
         """Run ``matcher``, cv2.StereoSGBM or cv2.StereoBM, on a pair of (H, W) or (H, W, 3) uint8, padded.
 
         The matchers give no value in the first ``opencv_disparities`` columns. So the pair is padded on the left by
@@ -84,7 +82,7 @@ def opencv_disparities(max_disparity: int) -> int:
     return (max_disparity // 16 + 1) * 16
 
 
-def _to_map(raw: NDArray[Any], max_disparity: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def _to_map(raw: NDArray[Any], max_disparity: int) -> tuple[Floats, Image8]:
     # Values and status of (H, W) int16; a pixel or more beyond the range is OUT_OF_RANGE.
     status = np.zeros(raw.shape, np.uint8)
     status[raw >= (max_disparity + 1) * _FRACTIONS] = Status.OUT_OF_RANGE

@@ -13,13 +13,12 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AliasChoices, BeforeValidator, Field, ValidationInfo, field_validator
 
 from depthcli.core.context import Clock, Context
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.maps import DisparityMap, Floats, Status
 from depthcli.io.formats.disparity import read_plane
 from depthcli.kernels.jit import n_threads
 from depthcli.methods.stereo.pipeline import StereoPipeline
@@ -76,23 +75,23 @@ class Program(StereoPipeline):
         "a shell's line gets values as variables instead, such as $DEPTHCLI_LEFT",
     )
     output: str | None = Field(
-        None, min_length=1, description="name of the map in the program's folder; null: that which {output} says"
+        None, min_length=1, description="name of the map in the program's folder; null: the name of {output}"
     )
     format: Literal["pfm", "kitti", "npy", "tiff", "png"] = Field(
         "pfm",
-        description="of the map: pfm, npy and tiff hold floats; png, and npy and tiff of integers, codes (see scale); "
-        "kitti: png of 256 codes a unit",
+        description="of the map: floats in pfm, npy and tiff; codes (see scale) in png, and in npy and tiff of "
+        "integers; kitti: png of 256 codes a unit",
     )
     scale: float | None = Field(
         None, gt=0, le=1e9, description="codes per unit of the map; null: floats 1, codes 256 a pixel"
     )
     invalid: tuple[_Number, ...] = Field(
-        (), description="values of the file that mean no value, beside inf, nan, code 0"
+        (), description="values of the file that mean no value, besides inf, nan, code 0"
     )
     images: Literal["png", "pgm", "ppm", "original"] = Field(
         "png",
-        description="what the program reads: png, grey or color as the pair is, 8 or 16 bit; pgm: grey, ppm: RGB; "
-        "original: the scene's own files, for pairs that are matched as these are",
+        description="images that the program reads: png, grey or color as the pair is, 8 or 16 bit; pgm: grey; "
+        "ppm: RGB; original: the scene's own files, for pairs that are matched as these are",
     )
     halo: int | None = Field(
         None, ge=0, le=4096, description="pixels around a tile that its map depends on; null: pairs are never tiled"
@@ -147,7 +146,7 @@ class Program(StereoPipeline):
         first, *others = _words(self.program)
         found = shutil.which(first)
         if found is None:
-            places = f"neither beside the config file nor in {os.getcwd()} is such a program"
+            places = f"no such program in the config file's folder or in {os.getcwd()}"
             raise ConfigError(f"program: {first}: {places if '/' in first else 'not in PATH; here write ./ before it'}")
         files = [Path(found), *(Path(word) for word in others if os.path.isfile(word))]
         return {f"program_{number}" if number else "program": file for number, file in enumerate(files)}
@@ -190,7 +189,7 @@ class Program(StereoPipeline):
             originals = context.originals
             if originals is None or originals[0] is not pair:
                 raise InputError(
-                    "images: original: no image files hold this pair as it is matched (rectified, shifted by "
+                    "images: original: no image files contain this pair as it is matched (rectified, shifted by "
                     "min_disparity, a tile, frames of a video, arrays); take images: png"
                 )
             return [file.absolute() for file in originals[1]]
@@ -201,7 +200,7 @@ class Program(StereoPipeline):
             file.write_bytes(data.tobytes())
         return files
 
-    def _read_map(self, path: Path, shape: tuple[int, int]) -> NDArray[np.float32]:
+    def _read_map(self, path: Path, shape: tuple[int, int]) -> Floats:
         """Return the program's map, (H, W) float32, NaN = no value; ProgramError if there is none of this size."""
         if not path.is_file():
             raise ProgramError(f"the program wrote no {path.name}")

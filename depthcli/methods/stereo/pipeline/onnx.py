@@ -13,7 +13,7 @@ from pydantic import Field
 from depthcli.core.context import Clock, Context
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
-from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.maps import DisparityMap, Floats, Image8, Mask, Status
 from depthcli.kernels.winners import left_right_difference
 from depthcli.methods.stereo.networks import (
     ColorOrder,
@@ -82,16 +82,18 @@ class NetworkPipeline(Network, StereoPipeline):
 
     profile: ProfileName | None = Field(None, description="conventions of a published network; null: fields below")
     normalization: Normalization | None = Field(
-        None, description="range of the values that the network takes; null: the profile's, else 0-255"
+        None, description="range of the values that the network takes; null: as in the profile, without one 0-255"
     )
-    color_order: ColorOrder | None = Field(None, description="order of channels; null: the profile's, else rgb")
+    color_order: ColorOrder | None = Field(
+        None, description="order of channels; null: as in the profile, without one rgb"
+    )
     multiple: int | None = Field(
-        None, ge=1, le=1024, description="what sides must be a multiple of, pixels; null: the profile's, else 32"
+        None, ge=1, le=1024, description="divisor of the images' sides, pixels; null: as in the profile, without one 32"
     )
     size: tuple[_Side, _Side] | None = Field(
-        None, description="width and height of the images that it gets, pixels; null: its own, or that of the pair"
+        None, description="width and height of the images that it gets, pixels; null: its own, or as the pair"
     )
-    sign: Sign | None = Field(None, description="sign of its output; null: the profile's, else positive")
+    sign: Sign | None = Field(None, description="sign of its output; null: as in the profile, without one positive")
     iterations: int | None = Field(
         None, ge=1, le=1000, description="for networks with an input for their number; null: it has none"
     )
@@ -132,7 +134,7 @@ class NetworkPipeline(Network, StereoPipeline):
         """Estimate the bytes of a network that has several layers of 64 channels at half size at a time."""
         return 1024 * shape[0] * shape[1] + (256 << 20)
 
-    def left_map(self, pair: StereoPair) -> NDArray[np.float32]:
+    def left_map(self, pair: StereoPair) -> Floats:
         """Return (H, W) float32 disparities of the left view, pixels, not limited to any range."""
         given = {name: value for name in Profile._fields if (value := getattr(self, name)) is not None}
         conventions = (Profile() if self.profile is None else PROFILES[self.profile])._replace(**given)
@@ -141,7 +143,7 @@ class NetworkPipeline(Network, StereoPipeline):
         sides = [-(-side // conventions.multiple) * conventions.multiple for side in pair.shape]
         height, width = size = fixed or (sides[0], sides[1])
 
-        def image(feed: _Feed, view: int) -> NDArray[np.float32]:
+        def image(feed: _Feed, view: int) -> Floats:
             full = samples(pair, view, feed.channels)
             full = padded(full, conventions.multiple) if fixed is None else _resized(full, size)
             if feed.half:
@@ -175,7 +177,7 @@ class NetworkPipeline(Network, StereoPipeline):
         return feeds, (height, width)
 
 
-def _compared(left: NDArray[np.float32], right: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def _compared(left: Floats, right: Floats) -> tuple[Floats, Mask]:
     """Return the difference of the maps at each pixel of the left one, and whether the right one is matched to it."""
     known, known_right = (np.nan_to_num(np.maximum(view, 0), nan=0, posinf=0) for view in (left, right))
     width, hit = left.shape[1], np.zeros(left.shape, np.uint8)
@@ -185,7 +187,7 @@ def _compared(left: NDArray[np.float32], right: NDArray[np.float32]) -> tuple[ND
     return left_right_difference(known, known_right), np.asarray(cv2.dilate(hit, np.ones((1, 3), np.uint8))) > 0
 
 
-def _in_range(values: NDArray[np.float32], status: NDArray[np.uint8], max_disparity: int) -> DisparityMap:
+def _in_range(values: Floats, status: Image8, max_disparity: int) -> DisparityMap:
     # A value up to half a pixel beyond an end becomes the end.
     status[(values < -0.5) | (values > max_disparity + 0.5)] = Status.OUT_OF_RANGE
     status[~np.isfinite(values)] = Status.NO_DATA
@@ -231,7 +233,7 @@ def _feeds(session: Session) -> list[_Feed]:
     return feeds
 
 
-def _disparity_of(outputs: dict[str, NDArray[Any]], size: tuple[int, int], model: str) -> NDArray[np.float32]:
+def _disparity_of(outputs: dict[str, NDArray[Any]], size: tuple[int, int], model: str) -> Floats:
     """Return the output that is the map, (H, W) of ``size``: the last one, preferably with "disp" in its name."""
     maps = {}
     for name, array in outputs.items():
@@ -246,7 +248,7 @@ def _disparity_of(outputs: dict[str, NDArray[Any]], size: tuple[int, int], model
     return np.ascontiguousarray(maps[(named or list(maps))[-1]], np.float32)
 
 
-def _resized(image: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+def _resized(image: Floats, size: tuple[int, int]) -> Floats:
     """Return an (H, W) or (H, W, C) image with ``size`` rows and columns, averaged if it shrinks, otherwise linear."""
     if image.shape[:2] == size:
         return image

@@ -22,7 +22,7 @@ class OpencvBm(OpencvMatcher):
 
     block: Odd = Field(15, ge=5, le=255, description="side of the matched block, pixels, odd")
     pre_filter_cap: int = Field(31, ge=1, le=63, description="truncation of the pre-filtered gradients, grey levels")
-    texture: int = Field(10, ge=0, le=10**6, description="smallest sum of gradients of a block, else it is rejected")
+    texture: int = Field(10, ge=0, le=10**6, description="smallest sum of gradients of a block that is matched")
 
     def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None) -> StereoResult:
         matcher = cv2.StereoBM.create(opencv_disparities(max_disparity), self.block)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from depthcli.core.maps import DisparityMap
+from depthcli.core.maps import DisparityMap, Floats
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.refinement import Refinement, with_filled
 from depthcli.methods.stereo.volume import RefinementContext
@@ -30,7 +29,7 @@ def fill_background(disparity: DisparityMap) -> DisparityMap:
     return with_filled(disparity, filled_from_background(disparity.values))
 
 
-def filled_from_background(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def filled_from_background(values: Floats) -> Floats:
     """Return (H, W) values filled as by :class:`BackgroundFill`, without NaN unless all are NaN."""
     values = values.copy()
     run_bands(_fill_rows, len(values), values)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core.frames import StereoPair
-from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.maps import DisparityMap, Image8, Status
 from depthcli.kernels.color_steps import color_steps
 from depthcli.kernels.jit import helper, jit, run_bands
 from depthcli.methods.stereo.refinement import Refinement
@@ -57,7 +57,7 @@ class DirectionalFill(Refinement):
         )  # fmt: skip
         return DisparityMap(values, disparity.status)
 
-    def smoothed(self, pair: StereoPair) -> NDArray[np.uint8]:
+    def smoothed(self, pair: StereoPair) -> Image8:
         """Return the left image, (H, W, 3), without noise that would be taken for edges."""
         side = 2 * _SMOOTHING_RADIUS + 1
         return np.asarray(cv2.GaussianBlur(pair.color8[0], (side, side), 1.0), np.uint8)

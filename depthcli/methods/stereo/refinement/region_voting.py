@@ -20,7 +20,7 @@ class RegionVoting(Refinement):
 
     length: int = Field(34, ge=1, le=255, description="longest arm of the support, pixels")
     threshold: int = Field(20, ge=0, le=255, description="largest color difference within an arm, grey levels")
-    inner_length: int = Field(17, ge=0, le=255, description="arm length beyond which inner_threshold holds, pixels")
+    inner_length: int = Field(17, ge=0, le=255, description="arm length beyond which inner_threshold applies, pixels")
     inner_threshold: int = Field(
         6, ge=0, le=255, description="largest color difference beyond inner_length, grey levels"
     )

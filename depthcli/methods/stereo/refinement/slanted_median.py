@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.window_slopes import color_differences, color_planes, framed, slopes
-from depthcli.core.maps import DisparityMap
+from depthcli.core.maps import DisparityMap, Floats, Image8
 from depthcli.kernels.jit import empty, helper, jit, run_bands
 from depthcli.kernels.lanes import (
     LANES,
@@ -58,9 +57,7 @@ class SlantedMedian(Refinement):
         values = self.filtered(disparity.values, context.pair.color8[0], context.volume.n_disparities - 1)
         return with_smoothed(disparity, values)
 
-    def filtered(
-        self, values: NDArray[np.float32], image: NDArray[np.uint8], max_disparity: float
-    ) -> NDArray[np.float32]:
+    def filtered(self, values: Floats, image: Image8, max_disparity: float) -> Floats:
         """Return the filtered (H, W) ``values``, guided by an (H, W, 3) ``image``, within 0 .. ``max_disparity``."""
         radius = self.radius
         valid = ~np.isnan(values)
@@ -77,7 +74,7 @@ class SlantedMedian(Refinement):
             known = out[:, : values.shape[1]]
         return np.where(valid, known, np.float32(np.nan))
 
-    def weights(self) -> tuple[NDArray[np.float32], np.float32]:
+    def weights(self) -> tuple[Floats, np.float32]:
         """Return sixteenths of the weights' exponents: by place in the window, and for a color difference of 1.
 
         Places that are left out are infinite: every other one in windows of more than 7 x 7 pixels.

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.maps import DisparityMap, Floats, Status
 from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 from depthcli.kernels.lanes import (
     LANES,
@@ -74,7 +73,7 @@ class WeightedMedian(Refinement):
             values = filtered
         return with_smoothed(disparity, values)
 
-    def tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def tables(self) -> tuple[Floats, Floats]:
         """Return the factors of weights by the sum of channel differences, (766,), and by place, (2 radius + 1)^2."""
         by_color = np.exp(-np.arange(766) / (3.0 * self.color_scale)).astype(np.float32)
         offsets = np.arange(-self.radius, self.radius + 1)

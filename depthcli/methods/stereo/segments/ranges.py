@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.algorithms.nearest import nearest_points
 from depthcli.core import memory
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import jit, run_bands, zeros
-from depthcli.methods.stereo.keypoint_matching import Matches, nearest_points
+from depthcli.methods.stereo.keypoint_matching import Matches
 from depthcli.methods.stereo.segments.first_estimate import grid_parts
 from depthcli.methods.stereo.volume import CostVolume
 
@@ -68,9 +69,11 @@ class Ranges(ConfigModel):
             np.maximum.at(high, zones[rows, columns], matches.disparity)
         if matches is not None and 0 < self.neighbors <= len(matches):
             sizes, columns, rows = _place_sums(zones, count)
-            index, squared = nearest_points(columns / sizes, rows / sizes, matches.x, matches.y, self.neighbors)
+            x, y = columns / sizes, rows / sizes
+            index = nearest_points(x, y, matches.x, matches.y, self.neighbors)
+            farthest = index[:, -1]
             near = np.ascontiguousarray(matches.disparity[index].T)  # minima along a short last axis take long
-            within = np.sqrt(squared[:, -1]) <= self.reach
+            within = np.sqrt((x - matches.x[farthest]) ** 2 + (y - matches.y[farthest]) ** 2) <= self.reach
             low = np.where(within, np.minimum(low, near.min(axis=0)), low)
             high = np.where(within, np.maximum(high, near.max(axis=0)), high)
         widening = self.margin * max_disparity

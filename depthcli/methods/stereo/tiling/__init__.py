@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.context import Clock, Context
 from depthcli.core.frames import StereoPair
-from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.maps import DisparityMap, Floats, Status
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.stereo.cost._fill import hamming_volume
 from depthcli.methods.stereo.cost.census import census_transform
@@ -28,7 +28,6 @@ from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, PROCESS_BYTES, Candi
 from depthcli.methods.stereo.tiling.tile_by_tile import Prior, match_by_costs, match_by_patches, refined_map
 from depthcli.methods.stereo.volume import StereoResult
 
-_Values = NDArray[np.float32]
 # Set by hand so that the maps of large pairs are near the maps of whole pairs (docs/figures.md, large images).
 _MIN_DISPARITIES = 256  # smaller ranges are searched whole
 _MIN_SIDE = 128  # pixels; smaller images are not halved
@@ -93,7 +92,7 @@ def coarse_prior(
 
 
 def _candidates(
-    half: DisparityMap, islands: _Values, thin_rows: _Values, shape: tuple[int, int], max_disparity: int
+    half: DisparityMap, islands: Floats, thin_rows: Floats, shape: tuple[int, int], max_disparity: int
 ) -> Candidates:
     """Return which disparities blocks of an image of (H, W) ``shape`` may have, from its map at half the size.
 
@@ -124,8 +123,8 @@ def _candidates(
 
 
 def _likely(
-    half: DisparityMap, islands: _Values, thin_rows: _Values, max_disparity: int
-) -> tuple[NDArray[np.int16], NDArray[np.int16], _Values]:
+    half: DisparityMap, islands: Floats, thin_rows: Floats, max_disparity: int
+) -> tuple[NDArray[np.int16], NDArray[np.int16], Floats]:
     """Return ``low``, ``high`` and ``thin`` of a :class:`Prior`, from the disparities around at half the size."""
     y, x = np.nonzero(~np.isnan(thin_rows))
     thin = np.full(islands.shape, np.nan, np.float32)
@@ -141,7 +140,7 @@ def _likely(
     return ends[0].astype(np.int16), (ends[1] + 1).astype(np.int16), np.stack(thin_ends)
 
 
-def thin_structures(pair: StereoPair, max_disparity: int) -> _Values:
+def thin_structures(pair: StereoPair, max_disparity: int) -> Floats:
     """Match every fourth row by itself over the whole range, for structures too thin for smaller images.
 
     Return (ceil(H / 4), W) float32: winners of the Hamming distance of 7 x 7 census that both views agree on and that

@@ -9,10 +9,10 @@ from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
+from depthcli.core.maps import Ints, Mask
 
 BLOCK = 16
 """Side of the blocks of pixels that share candidates, and unit of the tiles' sides, pixels."""
@@ -92,7 +92,7 @@ class Candidates:
     ``bins`` (ceil(H / 16), ceil(W / 16), ceil(D / 16)) is True if a block may have any of 16 consecutive disparities.
     """
 
-    bins: NDArray[np.bool_]
+    bins: Mask
     shape: tuple[int, int]
     max_disparity: int
 
@@ -103,7 +103,7 @@ class Candidates:
         return cls(np.ones((*blocks, max_disparity // BIN + 1), np.bool_), shape, max_disparity)
 
     @cached_property
-    def _sums(self) -> NDArray[np.int32]:
+    def _sums(self) -> Ints:
         sums = np.zeros(tuple(n + (axis < 2) for axis, n in enumerate(self.bins.shape)), np.int32)
         np.cumsum(np.cumsum(self.bins, axis=0, dtype=np.int32), axis=1, out=sums[1:, 1:])
         return sums

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from depthcli.core import memory
 from depthcli.core.context import Clock, Context
 from depthcli.core.frames import StereoPair
-from depthcli.core.maps import DisparityMap
+from depthcli.core.maps import DisparityMap, Floats
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.stereo.optimization.scanline import Scanline
@@ -34,13 +34,13 @@ _PIXEL_BYTES = 40  # of a row of a tile: features of the images, states of the p
 class Prior:
     """Likely disparities of a pair, from its map ``values`` at half the size, (ceil(H / 2), ceil(W / 2))."""
 
-    values: NDArray[np.float32]
+    values: Floats
     candidates: Candidates  # of the pair itself
     low: NDArray[np.int16]  # of the shape of ``values``: the likely disparities at the full size
     high: NDArray[np.int16]
     # (2, ...): smallest and largest disparity, at the full size, of the thin structures around; if there are none, the
     # smallest is larger than any disparity.
-    thin: NDArray[np.float32]
+    thin: Floats
     levels: int  # number of sizes matched, including the pair's own
 
 
@@ -55,10 +55,10 @@ class TiledWinners:
 
     def __init__(self, shape: tuple[int, int], minima: bool) -> None:
         self.left: NDArray[np.uint16] = np.zeros(shape, np.uint16)
-        self.minima: NDArray[np.float32] = np.zeros(shape if minima else (0, 0), np.float32)
+        self.minima: Floats = np.zeros(shape if minima else (0, 0), np.float32)
         # Smallest costs of the right view so far, columns mirrored: cost and disparity in one key; floats apart.
         self._keys: NDArray[np.uint32] = np.full(shape, 0xFFFFFFFF, np.uint32)
-        self._min_costs: NDArray[np.float32] = np.zeros((0, 0), np.float32)
+        self._min_costs: Floats = np.zeros((0, 0), np.float32)
         self._right: NDArray[np.uint16] | None = None
 
     def add(self, costs: NDArray[Any], spans: NDArray[np.int64], tile: Tile) -> None:
@@ -107,7 +107,7 @@ def match_by_costs(
 
     plan = available.tiles(pair, candidates, margins, need)
     found = TiledWinners(pair.shape, any(isinstance(step, Subpixel) for step in stages.refinement))
-    confidence: dict[str, NDArray[np.float32]] = {}
+    confidence: dict[str, Floats] = {}
     for tile, may_keep in plan:
         memory.release(may_keep)
         volume, spans = _tile_volume(stages, pair, tile, prior, clock)
@@ -144,7 +144,7 @@ def match_by_patches(
         lambda tile: matcher.peak_bytes(tile.shape, tile.n_disparities - 1),
     )
     values, status = np.zeros(pair.shape, np.float32), np.zeros(pair.shape, np.uint8)
-    confidence: dict[str, NDArray[np.float32]] = {}
+    confidence: dict[str, Floats] = {}
     for tile, may_keep in plan:
         memory.release(may_keep)
         clock.start("tiles")

@@ -16,6 +16,9 @@ class TransparentPipeline(Method):
     needs: ClassVar[Literal["sparse", "objects"]] = "sparse"
     """Input in addition to color and depth: sparse depth, or a mask of the objects."""
 
+    bytes_per_pixel: ClassVar[int] = 160
+    """Estimate of the peak working memory, without 16 MiB."""
+
     @abstractmethod
     def __call__(self, frame: SparseFrame) -> DepthResult:
         """Compute dense depth of ``frame``.
@@ -26,9 +29,9 @@ class TransparentPipeline(Method):
         pixels of the sensor.
         """
 
-    @abstractmethod
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         """Estimate the peak working memory for a frame of ``shape``, in bytes."""
+        return self.bytes_per_pixel * shape[0] * shape[1] + (16 << 20)
 
 
 Pipeline = Annotated[TransparentPipeline, *method_of("depthcli.methods.transparent.pipeline", key="pipeline")]

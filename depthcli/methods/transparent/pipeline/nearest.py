@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import cv2
 import numpy as np
 from pydantic import Field
 
+from depthcli.algorithms.nearest import nearest_points
 from depthcli.algorithms.plane_fitting.sample_planes import Samples
 from depthcli.core.context import Clock
 from depthcli.core.frames import SparseFrame
@@ -20,6 +23,8 @@ class NearestSample(TransparentPipeline):
 
     All other pixels take the depth of the nearest sample.
     """
+
+    bytes_per_pixel: ClassVar[int] = 120
 
     tolerance: float = Field(0.015, ge=0, description="largest difference of a sensor that is kept, meters")
     relative_tolerance: float = Field(0.02, ge=0, description="as a share of the depth; the larger one counts")
@@ -36,14 +41,10 @@ class NearestSample(TransparentPipeline):
 
     def unreliable(self, frame: SparseFrame, dense: Floats) -> Mask:
         """Select the pixels, (H, W) bool, whose sensor depth differs from ``dense`` near samples; median of 5 x 5."""
-        blank = np.where(np.isfinite(frame.sparse), np.uint8(0), np.uint8(1))
-        distance = cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        distance = Samples.of(frame.sparse).distance(frame.shape)
         far = np.abs(dense - frame.depth) > np.maximum(self.tolerance, self.relative_tolerance * frame.depth)
         smooth = cv2.medianBlur((far & (distance <= self.reach)).astype(np.uint8), 5)
         return np.asarray((smooth > 0) & np.isfinite(frame.depth), np.bool_)
-
-    def peak_bytes(self, shape: tuple[int, int]) -> int:
-        return 120 * shape[0] * shape[1] + (16 << 20)
 
 
 def nearest_depth(frame: SparseFrame) -> Floats:
@@ -52,5 +53,5 @@ def nearest_depth(frame: SparseFrame) -> Floats:
     if samples.values.size == 0:
         return np.full(frame.shape, np.nan, np.float32)
     rows, columns = (axis.ravel().astype(np.int32) for axis in np.mgrid[: frame.shape[0], : frame.shape[1]])
-    nearest = samples.nearest((rows, columns), 1, frame.shape)
+    nearest = nearest_points(columns, rows, samples.columns, samples.rows, 1)
     return np.asarray(cv2.medianBlur(samples.values[nearest[:, 0]].reshape(frame.shape), 5), np.float32)

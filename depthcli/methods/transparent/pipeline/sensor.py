@@ -38,6 +38,3 @@ class SensorAlone(TransparentPipeline):
             around, _ = fill_gaps(around, frame_lab(frame), None, None, level, noise_level(around))
         values = np.where(kept, inverse_depth(frame.depth), around / np.float32(frame.fb))
         return refined_depth(frame, values, known & objects, clock, np.zeros_like(known))
-
-    def peak_bytes(self, shape: tuple[int, int]) -> int:
-        return 160 * shape[0] * shape[1] + (16 << 20)
