@@ -11,9 +11,10 @@ half of the mean difference from table 2.2 over its mean. ``--others`` searches 
 among those that settings are tuned on (scripts/stereo_groups.yaml), and the loss is the mean error of the method with
 key points and DEDC there: v2 then shows what values are worth that were not fitted to it.
 
-Every setting tried is a line of FILE (build/fit_chapter2.jsonl), with its figures; a line is not computed again, and
-the search goes on from the best ones. The best five are printed. ``--random N`` searches nothing: it draws N settings
-and prints in how many of them the rows of table 2.1 have the printed order (nonocc).
+Every setting tried is a line of FILE (build/fit_chapter2.jsonl; ..._others and ..._random.jsonl), with its figures; a
+line is not computed again, and the search goes on from the best ones. The best five are printed. ``--random N``
+searches nothing: it draws N settings and prints in how many of them the rows of table 2.1 have the printed order
+(nonocc).
 """
 
 import json
@@ -127,13 +128,17 @@ def loss_elsewhere(rows: Rates) -> float:
     return float(np.mean(list(rows.values()))) + 100 * (len(rows) < len(ELSEWHERE))
 
 
-def order_of_random_settings(data: Path, count: int, rng: random.Random) -> str:
+def order_of_random_settings(data: Path, count: int, rng: random.Random, tried: dict[str, Any], file: Path) -> str:
     """Return in words how often the rows of table 2.1 are in the printed order, of settings drawn from all."""
     (scene,) = scenes_in(data / "middlebury_v2", "Tsukuba")
     held = np.zeros(5, int)
     for _ in range(count):
         setting = {key: rng.choice(values) for key, values in OPEN.items()}
-        a, b, c, d = (rates(setting, scene, *more)[0] for more in TERMS.values())
+        if (name := json.dumps(setting)) not in tried:
+            tried[name] = [rates(setting, scene, *more)[0] for more in TERMS.values()]
+            with file.open("a", encoding="utf-8") as out:
+                print(json.dumps([setting, tried[name]]), file=out)
+        a, b, c, d = tried[name]
         held += [b < a, c < a, d < c, d < b, d <= c < b < a]
     names = "KP < baseline", "DEDC < baseline", "both < DEDC", "both < KP", "all four in order"
     return ", ".join(f"{name}: {n} of {count}" for name, n in zip(names, held, strict=True))
@@ -148,13 +153,14 @@ def changed(setting: dict[str, Any], rng: random.Random) -> dict[str, Any]:
 def main() -> int:
     options = _env.options(__doc__, "[data]", minutes=25.0, seed=0, others=False, kept="", random=0)
     set_threads(1)
-    if options.random:
-        print(order_of_random_settings(options.data, options.random, random.Random(options.seed)))
-        return 0
-    file = Path(options.kept or _env.ROOT / "build" / f"fit_chapter2{'_others' * options.others}.jsonl")
+    kind = "_random" if options.random else "_others" if options.others else ""
+    file = Path(options.kept or _env.ROOT / "build" / f"fit_chapter2{kind}.jsonl")
     file.parent.mkdir(parents=True, exist_ok=True)
     kept = [json.loads(line) for line in file.read_text("utf-8").splitlines()] if file.exists() else []
     tried = {json.dumps(setting): rows for setting, rows in kept}
+    if options.random:
+        print(order_of_random_settings(options.data, options.random, random.Random(options.seed), tried, file))
+        return 0
     measure = elsewhere(options.data) if options.others else tables(options.data)
     loss_of = loss_elsewhere if options.others else loss_of_tables
     config = StereoConfig.model_validate(DEFAULTS) if options.others else config_of("stereo", "thesis/ch2-kp-dedc")

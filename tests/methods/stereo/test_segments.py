@@ -17,6 +17,7 @@ from depthcli.methods.stereo.keypoint_matching import Matches, consistent
 from depthcli.methods.stereo.segments import planes as energy
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, Split, grid_parts, segment_window
 from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges
+from depthcli.methods.stereo.segments.restoration import Restoration
 from depthcli.methods.stereo.segments.steps import map_with_status
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.problems.results import write_details
@@ -219,6 +220,29 @@ def test_only_segments_that_are_not_a_plane_are_cut():
     assert len(np.unique(cut[:, 64:])) == 16
     assert not set(np.unique(cut[:, :64])) & set(np.unique(cut[:, 64:]))
     assert np.array_equal(naive.components(cut[..., None], 0).max(), cut.max())
+
+
+def test_areas_off_their_plane_get_their_first_disparities_back_if_dense_smooth_and_wide():
+    first = np.full((60, 100), 10.3)
+    bump, strip, noise, blind = np.s_[20:40, 15:35], np.s_[:, 50:51], np.s_[20:40, 60:78], np.s_[45:57, 15:35]
+    for place in (bump, strip, blind):
+        first[place] = 14.3
+    rng = np.random.default_rng(0)
+    first[noise] = np.where(rng.random((20, 18)) < 0.5, 14.3, 10.3)
+    costs = np.square(first[..., None] - np.arange(20)).astype(np.float32)
+    costs[:, :, :2] += 1000  # as in a match outside the right image
+    found = Selection()(CostVolume(costs, 1.0))
+    trusted = np.ones(first.shape, bool)
+    trusted[blind] = False
+    given = FirstEstimate(found.values, trusted, found.right)
+    planes = np.full(first.shape, 10, np.float32)
+    kept = Restoration()(planes, given, CostVolume(costs, 1.0))
+    np.testing.assert_array_equal(kept, planes)
+    restored = Restoration(radius=1)(planes, given, CostVolume(costs, 1.0))
+    inside = np.s_[25:35, 20:30]
+    np.testing.assert_allclose(restored[inside], 14.3, atol=0.05)  # with fractions
+    for place in (strip, noise, blind, np.s_[:, 85:]):
+        np.testing.assert_array_equal(restored[place], 10)
 
 
 def test_the_status_of_planes():

@@ -22,7 +22,8 @@ class Segments(SegmentSteps, AdjustingMatcher, StereoPipeline):
     - ``optimization`` between window and selection, so that more disparities are trusted;
     - ``split``: segments that are not planar (curved things) are cut along a grid;
     - ``rounds``: planes are fitted again to groups of segments that share one;
-    - ``visibility``: a plane that puts occluded pixels in front of the right view's surface costs.
+    - ``visibility``: a plane that puts occluded pixels in front of the right view's surface costs;
+    - ``restoration``: surfaces that no plane fits get their first disparities back.
     """
 
     cost: Cost = Field(description="matching cost of two pixels")

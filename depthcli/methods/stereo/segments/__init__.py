@@ -6,4 +6,5 @@
 | ``ranges`` | matched key points -> disparities that their segment may have |
 | ``first_estimate`` | costs -> first disparities, and which are trusted -> segments, those that are not planar cut |
 | ``planes`` | segments -> candidate planes -> energies -> one plane for every segment, by graph cuts |
+| ``restoration`` | planes -> first disparities where surfaces are not planar |
 """

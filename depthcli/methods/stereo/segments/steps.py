@@ -31,6 +31,7 @@ from depthcli.methods.stereo.segments.first_estimate import (
 )
 from depthcli.methods.stereo.segments.planes import Assignment, Energy, PlaneCandidates, assign
 from depthcli.methods.stereo.segments.ranges import Ranges
+from depthcli.methods.stereo.segments.restoration import Restoration
 from depthcli.methods.stereo.stages import refined
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext, StereoResult
 
@@ -61,6 +62,9 @@ class SegmentSteps(ConfigModel):
     rounds: int = Field(1, ge=1, le=10, description="number of assignments; planes are fitted again in between")
     sweeps: int = Field(
         20, ge=1, le=1000, description="largest number of passes over all planes in the last assignment"
+    )
+    restoration: Restoration = Field(
+        default_factory=Restoration, description="first disparities in place of planes, on surfaces that are not planar"
     )
     refinement: tuple[RefinementStep, ...] = Field((), description="refinement steps on the finished map, in order")
     details: bool = Field(
@@ -101,6 +105,7 @@ class SegmentSteps(ConfigModel):
             )
         else:
             values = assignment.planes.at(assignment.labels[labels], max_disparity)
+            values = self.restoration(values, first, optimized)
             disparity = map_with_status(values, first)
         disparity = refined(disparity, self.refinement, RefinementContext(pair, optimized, first.right))
         figures: dict[str, float] = {
