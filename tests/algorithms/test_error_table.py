@@ -14,7 +14,7 @@ WITHIN = np.geomspace(0.25, 8, 25)
 ODDS = np.linspace(-12, 12, 300).astype(np.float32)
 
 
-@pytest.fixture(params=["errors", "one_view_errors", "depth"])
+@pytest.fixture(params=["errors", "given_errors", "one_view_errors", "depth"])
 def table(request: pytest.FixtureRequest) -> ErrorTable:
     found = kinect_errors().errors if request.param == "depth" else getattr(networks(), request.param)
     assert isinstance(found, ErrorTable)

@@ -54,13 +54,15 @@ _N_LOOKED_AT = 100_000  # values of a map, for its step
 class Networks(NamedTuple):
     """Networks for the log odds that a pixel is correct, that it is hidden, and that it is correct without right image.
 
-    ``errors`` and ``one_view_errors`` are the error tables of ``right`` and ``one_view``.
+    ``errors`` is the error table of ``right`` for maps of depthcli, ``given_errors`` for maps of any program, which may
+    have been computed at half the size or smoothed; ``one_view_errors`` is that of ``one_view``, for any program.
     """
 
     right: TrainedNetwork
     hidden: TrainedNetwork
     one_view: TrainedNetwork
     errors: ErrorTable
+    given_errors: ErrorTable
     one_view_errors: ErrorTable
 
 
@@ -179,7 +181,7 @@ def judge(
     clock.start("planes")
     judged = judged_maps(evidence, maps)[0]
     clock.start("network")
-    probability, bound = promised_of(networks, judged, within, level)
+    probability, bound = promised_of(networks, networks.given_errors, judged, within, level)
     hidden = log_odds(networks.hidden, networks.hidden.layers[0][1][0], judged.alone, judged.others[:0]) > 0
     status = with_reasons(judged.values, judged.missing, probability, hidden)
     confidence = {name: _known(MEASURES[name].of(judged, evidence, right), judged.missing) for name in measures}
@@ -197,12 +199,12 @@ def bounds(
     level: float = 0.9,
     context: Context | None = None,
 ) -> tuple[Plane, Plane]:
-    """Return probability and bound of a map like :func:`judge`, but faster, since nothing else is computed.
+    """Return probability and bound of a map of depthcli, faster than :func:`judge`, as nothing else is computed.
 
     ``filled`` values, (H, W) bool, are less certain than measured values.
     """
     judged = judged_maps(Evidence.of(pair, max_disparity, Clock(), context), [values])[0]
-    return promised_of(networks, judged, within, level, filled)
+    return promised_of(networks, networks.errors, judged, within, level, filled)
 
 
 def judge_by_one_view(
@@ -297,11 +299,11 @@ def odds_within(network: TrainedNetwork, within: float, alone: Plane, others: Pl
 
 
 def promised_of(
-    networks: Networks, judged: Judged, within: float, level: float, filled: Filled = _NOWHERE
+    networks: Networks, errors: ErrorTable, judged: Judged, within: float, level: float, filled: Filled = _NOWHERE
 ) -> tuple[Plane, Plane]:
-    """Return probability and bound (H, W) of a judged map."""
+    """Return probability and bound (H, W) of a judged map by one of the tables of ``networks.right``."""
     odds = odds_of(networks, judged, 1.0) - doubt(judged) - FILLED_DOUBT * filled
-    table = rounded(networks.errors, rounding_step(judged.values[~judged.missing]))
+    table = rounded(errors, rounding_step(judged.values[~judged.missing]))
     return promised(table, odds, judged.missing, within, level)
 
 
