@@ -152,9 +152,9 @@ def test_a_table_is_taken_from_the_output_of_a_script():
         "## Some title, %\n\n| name | a | b |\n| --- | ---: | ---: |\n| x | **1.234** | 2 |\n| y | 3 | <u>4.5</u> |\n"
     )
     settings = {"title": "Some", "columns": {"method": "name", "a / b": "a & b"}, "rows": {"y": "Y", "x": "X"}}
-    settings |= {"digits": 1, "fixed": [["Z", 9]]}
+    settings |= {"fixed": [["Z", 9]]}
     table = figures.markdown(figures.selected(figures.tables(text), settings))
-    assert table == "| method | a / b |\n| --- | ---: |\n| Y | 3 / 4.5 |\n| X | 1.2 / 2 |\n| Z | 9 |"
+    assert table == "| method | a / b |\n| --- | ---: |\n| Y | 3 / 4.5 |\n| X | 1.234 / 2 |\n| Z | 9 |"
     page = figures.renewed("a\n<!-- begin t -->\nold\n<!-- end -->\nb\n", {"t": table})
     assert page == f"a\n<!-- begin t -->\n\n{table}\n\n<!-- end -->\nb\n"
 

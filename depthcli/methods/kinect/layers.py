@@ -159,7 +159,8 @@ def join_segments(labels: Ints, modelled: Mask, surfaces: Surfaces, color: Image
     n_limited, total = sums[:, 5:].T
     # The mean limit, if more than a third of the segment's pixels have one.
     limits = np.where(3 * n_limited > sizes, total / np.maximum(n_limited, 1), np.inf)
-    _join(owners, means, limits, *region_adjacency(labels, count), surfaces)
+    starts, neighbors, boundary = region_adjacency(labels, count)
+    _join(owners, means, limits, starts, neighbors, boundary, surfaces)
     return owners
 
 
