@@ -155,7 +155,7 @@ def main() -> None:
             }
             if name != "map_errors":
                 groups = {kind: [one for one in checked if one.kind == kind and one.method in TAUGHT] for kind in KINDS}
-            for label, group in groups.items():
+            for label, group in [item for item in groups.items() if item[1]]:
                 by = rounded(others, float(label == ROUNDED))
                 doubt = FILLED_DOUBT if name == "map_errors" else 0
                 judged = [(one.found, by.bound(one.found[odds] - doubt * one.found["filled"], 0.9)) for one in group]
