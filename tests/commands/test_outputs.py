@@ -117,7 +117,7 @@ def test_presets(same: Same, capsys):
 def test_a_sweep(two_scenes: Path, same: Same, tmp_path: Path, capsys):
     words = ["sweep", "fast", "-i", str(two_scenes), "-o", str(tmp_path / "sweep"), "--over", "optimization.p2=2,8"]
     assert main(words) == 0
-    same("sweep.txt", re.sub(r"\d+\.\d+$", "", capsys.readouterr().out))
+    same("sweep.txt", re.sub(r"(?m) +\d+\.\d+$", "", capsys.readouterr().out))
     assert main([*words, "--json"]) == 0
     same("sweep.json", steady_json(capsys.readouterr().out))
 
