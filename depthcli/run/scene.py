@@ -132,10 +132,10 @@ def compute_scene(task: Task, work: Work, limit: int, latest: Latest | None = No
     If a disk was full, the row has the key ``disk_full`` with the place, the reason and the free bytes, and nothing is
     recorded.
     """
-    return computed_scene(task, work, limit, latest)()
+    return compute_hidden(task, work, limit, latest)()
 
 
-def computed_scene(task: Task, work: Work, limit: int, latest: Latest | None = None) -> Callable[[], Row]:
+def compute_hidden(task: Task, work: Work, limit: int, latest: Latest | None = None) -> Callable[[], Row]:
     """Compute a scene into its hidden folder; return a function that finishes it as :func:`compute_scene` does.
 
     The function waits for the disk. It may run in another thread while the next scene is computed.
@@ -160,6 +160,10 @@ def computed_scene(task: Task, work: Work, limit: int, latest: Latest | None = N
 
 
 def _finished(task: Task, work: Work, limit: int, row: Row, done: bool, opened: int | None) -> Row:
+    """Move the files of a ``done`` scene into place, or record its failure, and return the row.
+
+    ``opened`` is the descriptor of the hidden folder, or None if the folder was not made; it is closed here.
+    """
     try:
         try:
             if done and opened is not None:
@@ -182,6 +186,7 @@ def _finished(task: Task, work: Work, limit: int, row: Row, done: bool, opened: 
 
 
 def _install(task: Task, work: Work, row: Row, opened: int) -> None:
+    """Move the hidden folder into place. Raise InputError if an input has changed, OutputError on failure."""
     for file, (content, state) in task.watched.items():
         if file_states(file) != state and file_digest(file) != content:
             raise InputError(f"{shown(file)}: changed since the run began; the same command reads it again")
@@ -198,6 +203,7 @@ def _install(task: Task, work: Work, row: Row, opened: int) -> None:
 
 
 def _leave(task: Task, opened: int | None) -> None:
+    """Close and delete the hidden folder."""
     if opened is not None:
         os.close(opened)
     shutil.rmtree(task.hidden, ignore_errors=True)
@@ -245,6 +251,7 @@ def _failed_row(task: Task, error: BaseException) -> Row:
 
 
 def _is_open(folder: Path, opened: int) -> bool:
+    """Return whether the path still leads to the folder that was opened."""
     try:
         return os.path.samestat(os.stat(folder), os.fstat(opened))
     except OSError:

@@ -35,7 +35,7 @@ from depthcli.kernels.jit import CompileWatch, cache_folder, set_threads
 from depthcli.run import resources
 from depthcli.run.console import Reporter, silence_warnings
 from depthcli.run.job import Execution, Job
-from depthcli.run.scene import Task, Work, compute_scene, computed_scene
+from depthcli.run.scene import Task, Work, compute_hidden, compute_scene
 from depthcli.show.table import Row
 
 _T = TypeVar("_T")
@@ -158,6 +158,7 @@ def n_processes(
 
 
 def _largest_need(job: Job[Any], scenes: Sequence[Scene]) -> int | None:
+    """Return the largest memory of a scene in bytes, or None if that of any is unknown."""
     needs: list[int | None] = [0]
     for scene in scenes:
         with contextlib.suppress(InputError):  # the scene will fail
@@ -244,6 +245,7 @@ def compute_in_processes(
 
 
 def _start(work: Work) -> _Worker:
+    """Start a worker process, as a copy of this one if that is possible."""
     context: Any = multiprocessing.get_context("fork" if _may_fork() else "spawn")
     ours, theirs = context.Pipe()
     # A spawned process unpickles its arguments before it loads plug-ins, so that the work is pickled separately.
@@ -310,7 +312,7 @@ def _serve(pipe: connection.Connection, plugins: Iterable[str], pickled: bytes) 
         while True:
             task = pipe.recv()
             shutil.rmtree(task.hidden, ignore_errors=True)  # a worker that died may have left it
-            computed = counted(partial(computed_scene, task, work, limit, latest), watch)
+            computed = counted(partial(compute_hidden, task, work, limit, latest), watch)
             if finished is not None:
                 finished.result()
             send("computed")
