@@ -70,7 +70,7 @@ def prepared(
     """Return a command's problem with its config, and its scenes; parameters are as for ``run_problem``."""
     problem = problems.load(command)
     job = problem.ready(config_with_options(problem.model, config, settings, options))
-    return job, job.units(adapted(find_scenes(problem.rows, source, run)), run.reporter)
+    return job, job.units(adapted(find_scenes(problem.layouts, source, run)), run.reporter)
 
 
 def find_scenes(layouts: Layouts[SceneT], source: SceneOptions, run: RunOptions) -> list[SceneT]:
@@ -94,7 +94,7 @@ def run_maps(
     right_maps: str | None = None,
 ) -> int:
     """Solve the problem for the pairs that the options name, with their maps, and return the exit code."""
-    scenes, place = find_scenes(job.rows, pairs, run), pairs.input and local(pairs.input)
+    scenes, place = find_scenes(job.layouts, pairs, run), pairs.input and local(pairs.input)
     coded = coding.pattern, coding.scale, coding.invalid
     return run_job(job, with_maps(scenes, place, coded, run.reporter, maps, witnesses, right_maps), run, pairs)
 

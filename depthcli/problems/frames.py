@@ -153,7 +153,7 @@ ConfigT = TypeVar("ConfigT", bound=DepthConfig)
 class DepthProblem(Problem[SceneT, FrameInputs, RefinedDepth], Generic[SceneT, ConfigT]):
     """Depth of sensors, refined; the commands differ in their inputs and methods."""
 
-    rows = FRAMES
+    layouts = FRAMES
 
     config: ConfigT
 

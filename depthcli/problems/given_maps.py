@@ -173,7 +173,7 @@ class MapInputs(Inputs):
 class GivenMaps(Problem[MapsScene, MapInputs, ResultT]):
     """Maps of pairs, found in runs; ``config`` has the options, None if not given."""
 
-    rows = PAIRS
+    layouts = PAIRS
     n_added: ClassVar[int] = 0
     """Number of maps that are compared with the given maps."""
 

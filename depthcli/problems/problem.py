@@ -101,7 +101,7 @@ class Problem(SceneJob[SceneT], Generic[SceneT, InputsT, ResultT]):
     """A problem: its inputs, solution and result. The Python functions call only ``solve``."""
 
     model: ClassVar[type[RootConfig]]  # class of its config
-    rows: ClassVar[Layouts[Any]]  # layouts of its scenes
+    layouts: ClassVar[Layouts[Any]]  # those of its scenes
 
     @classmethod
     def ready(cls, config: Any) -> Self:

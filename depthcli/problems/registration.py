@@ -293,7 +293,7 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
 
     command = "register-confidence"
     model = RegisterConfidenceConfig
-    rows = VOLUMES
+    layouts = VOLUMES
     writes = (
         "confidence.*",
         "expected_error.*",

@@ -143,7 +143,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
     """Compute maps of the left views of pairs; ``stereo`` and ``fuse`` differ in their matchers."""
 
     model: ClassVar[type[Any]]
-    rows = PAIRS
+    layouts = PAIRS
     writes = (*MAP_FILES, "left.png", "calib.txt")
     shown = Shown(
         (SIZE, *map(percent, ("density", "measured")), number("median_bound", "{:.3g} px"), *METRIC_COLUMNS),
