@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from depthcli.evaluation.comparison import EvaluationReport
 
 DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
+"""The status of a scene in a plan."""
 
 
 def run_problem(
@@ -113,28 +114,14 @@ def run_job(
     """
     reporter, how = options.reporter, options.execution
     check_keep(job, how.keep)
-    if options.dry_run:
-        planned = Plan(job, scenes, options.output, how)
-        plan = plan_of(planned)
-        if options.json:
-            reporter.data(to_json(plan))
-        else:
-            reporter.info(_plan_text(plan, job.config))
-        if options.output != NOWHERE:
-            planned.check_names()
-            check_folder(options.output, planned.text, how.overwrite)
-        if options.json:
-            return 0
     if options.dry_run or options.list_scenes:
-        names = [scene.name for scene in how.own(scenes)]
-        lines = "".join(f"{one_line(name)}\n" for name in names)
-        reporter.data(to_json({"command": job.command, "scenes": names}) if options.json else lines)
+        _print_plan(job, scenes, options)
         return 0
     rows, elsewhere = run_scenes(job, scenes, options.output, how, reporter)
     for line in job.notes(scenes, rows):
         reporter.info(f"warning: {line}")
-    problems = job.problems(rows)
-    for line in problems:
+    missing = job.problems(rows)
+    for line in missing:
         reporter.error(line)
     failed = [row for row in rows if row["status"] == "failed"]
     if job.shown.palette is not None and len(failed) < len(rows):
@@ -156,28 +143,31 @@ def run_job(
         reporter.info("the process that ends last evaluates the run")
     if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
         return 1
-    incomplete = failed or problems or (evaluation is not None and evaluation.incomplete)
+    incomplete = failed or missing or (evaluation is not None and evaluation.incomplete)
     return flags.exit_code(bool(incomplete), options.fail_flagged, all_rows=options.shard is None and not elsewhere)
 
 
-def _print_results(
-    job: SceneJob[Any], rows: Sequence[Row], options: RunOptions, evaluation: EvaluationReport | None, flags: Flags
-) -> None:
-    """Print the report as JSON, or the tables of the evaluation or run with the flagged rows."""
-    reporter = options.reporter
-    evaluation = evaluation if evaluation is not None and evaluation.results else None
-    if options.json:
-        document = report_document(job.command, rows) | flags.to_dict()
-        reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
-        return
-    if evaluation is not None:
-        from depthcli.commands._scores import print_tables
+def _print_plan(job: SceneJob[SceneT], scenes: Sequence[SceneT], options: RunOptions) -> None:
+    """Print the plan of a run for ``--dry-run``, and the names of its scenes.
 
-        print_tables(evaluation, reporter, TableOptions(), options.quiet)
-    elif not options.quiet:
-        reporter.data(run_table(rows, job.shown.columns))
-    if options.conditions and not options.quiet:
-        reporter.data(flags.text())
+    Raise the errors with which the run itself would refuse its folder.
+    """
+    reporter, how = options.reporter, options.execution
+    if options.dry_run:
+        planned = Plan(job, scenes, options.output, how)
+        plan = plan_of(planned)
+        if options.json:
+            reporter.data(to_json(plan))
+        else:
+            reporter.info(_plan_text(plan, job.config))
+        if options.output != NOWHERE:
+            planned.check_names()
+            check_folder(options.output, planned.text, how.overwrite)
+        if options.json:
+            return
+    names = [scene.name for scene in how.own(scenes)]
+    lines = "".join(f"{one_line(name)}\n" for name in names)
+    reporter.data(to_json({"command": job.command, "scenes": names}) if options.json else lines)
 
 
 def plan_of(planned: Plan) -> Row:
@@ -217,3 +207,23 @@ def _plan_text(plan: Row, config: BaseModel | Mapping[str, object]) -> str:
     notes = [f"{len(rows)} scenes: {summary}", *filter(None, [plan["refused"]]), "nothing was computed"]
     text = dump_config(config) if isinstance(config, BaseModel) else to_yaml(dict(config))
     return "\n".join([text, aligned(lines), "", *notes])
+
+
+def _print_results(
+    job: SceneJob[Any], rows: Sequence[Row], options: RunOptions, evaluation: EvaluationReport | None, flags: Flags
+) -> None:
+    """Print the report as JSON, or the tables of the evaluation or run with the flagged rows."""
+    reporter = options.reporter
+    evaluation = evaluation if evaluation is not None and evaluation.results else None
+    if options.json:
+        document = report_document(job.command, rows) | flags.to_dict()
+        reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
+        return
+    if evaluation is not None:
+        from depthcli.commands._scores import print_tables
+
+        print_tables(evaluation, reporter, TableOptions(), options.quiet)
+    elif not options.quiet:
+        reporter.data(run_table(rows, job.shown.columns))
+    if options.conditions and not options.quiet:
+        reporter.data(flags.text())
