@@ -102,6 +102,7 @@ def _by_threshold(section: Section, lines: Mapping[str, Sequence[Score]]) -> str
 
 
 def _times(section: Section, what: str) -> str:
+    """Return the single figure of every run against its mean seconds a scene; ``what`` names the figure."""
     from matplotlib.ticker import LogLocator
 
     with _figure("seconds a scene, mean", what, len(section.runs)) as (axes, out):
@@ -138,48 +139,60 @@ def _confidences(section: Section) -> dict[str, Plot]:
         for c in r.curves:
             name = f"{r.run}: {c.confidence}" if len(section.runs) > 1 else c.confidence
             groups.setdefault((c.region, c.of), {}).setdefault(name, []).append(c)
-    by_caption, reliabilities = {}, {}
+    by_caption: dict[str, Plot] = {}
+    reliabilities: dict[str, Plot] = {}
     for (region, of), curves in groups.items():
-        errors, best = (
-            {name: tuple(map(mean_of_known, zip(*(getattr(c.line, kind) for c in group), strict=True)))
-             for name, group in curves.items()}
-            for kind in ("errors", "best")
-        )  # fmt: skip
-        ordered = sorted(curves, key=lambda name: sum(errors[name]))
-        drawn = [Line(name, PERCENTAGES, errors[name]) for name in ordered[:_MAX_CURVES]]
-        drawn += [Line("", PERCENTAGES, line, True) for line in dict.fromkeys(best.values())]
-        what = "share of wrong pixels" if of == "bad" else "mean error"
-        y_label = what if of == "bad" else f"{what}, {section.protocol.presentation.unit}"
-        over = _statistic("mean", curves.values())
-        caption = f"Sparsification, {region}: {what} of the most confident pixels, {over}{_best(len(curves))}"
-        caption += "; dotted: the best ranking"
-        rows = [
-            {"curve": name, "statistic": _statistic("mean", [curves[name]]), "percent of the pixels": percent,
-             y_label: error}
-            for name in ordered
-            for percent, error in zip(PERCENTAGES, errors[name], strict=True)
-        ]  # fmt: skip
-        svg = line_plot(drawn, over, _SHARE_AXIS, y_label, any_names=True)
-        by_caption[caption] = Plot(f"sparsification_{region}_{of}", svg, rows)
-        known = {name: [c.reliability for c in group if c.reliability] for name, group in curves.items()}
-        known = {name: group for name, group in known.items() if group}
-        pooled = {name: Reliability.pooled(group) for name, group in known.items()}
-        if pooled:
-            over, more = _statistic("pooled", known.values()), _best(len(pooled))
-            pooled = dict(sorted(pooled.items(), key=lambda named: named[1].ece)[:_MAX_CURVES])
-            drawn = [Line(f"{name} {one.ece:.3f}", one.confidence, one.right) for name, one in pooled.items()]
-            drawn.append(Line("", (0, 1), (0, 1), bound=True))
-            what = f"how often pixels of a confidence are right, with the expected calibration error, {over}{more}"
-            caption = f"Reliability, {region}: {what}; dotted: as often as they say"
-            rows = [
-                {"curve": name, "statistic": _statistic("pooled", [known[name]]), "confidence": confidence,
-                 "share of right pixels": right}
-                for name, one in pooled.items()
-                for confidence, right in zip(one.confidence, one.right, strict=True)
-            ]  # fmt: skip
-            svg = line_plot(drawn, over, "confidence", "share of right pixels", any_names=True)
-            reliabilities[caption] = Plot(f"reliability_{region}", svg, rows)
+        by_caption |= _sparsification(section, region, of, curves)
+        reliabilities |= _reliability(region, curves)
     return by_caption | reliabilities
+
+
+def _sparsification(
+    section: Section, region: str, of: str, curves: Mapping[str, Sequence[ConfidenceCurve]]
+) -> dict[str, Plot]:
+    """Return caption -> plot of the mean sparsification of curves, name -> curve of each map."""
+    errors, best = (
+        {name: tuple(map(mean_of_known, zip(*(getattr(c.line, kind) for c in group), strict=True)))
+         for name, group in curves.items()}
+        for kind in ("errors", "best")
+    )  # fmt: skip
+    ordered = sorted(curves, key=lambda name: sum(errors[name]))
+    drawn = [Line(name, PERCENTAGES, errors[name]) for name in ordered[:_MAX_CURVES]]
+    drawn += [Line("", PERCENTAGES, line, True) for line in dict.fromkeys(best.values())]
+    what = "share of wrong pixels" if of == "bad" else "mean error"
+    y_label = what if of == "bad" else f"{what}, {section.protocol.presentation.unit}"
+    over = _statistic("mean", curves.values())
+    caption = f"Sparsification, {region}: {what} of the most confident pixels, {over}{_best(len(curves))}"
+    rows = [
+        {"curve": name, "statistic": _statistic("mean", [curves[name]]), "percent of the pixels": percent,
+         y_label: error}
+        for name in ordered
+        for percent, error in zip(PERCENTAGES, errors[name], strict=True)
+    ]  # fmt: skip
+    svg = line_plot(drawn, over, _SHARE_AXIS, y_label, any_names=True)
+    return {f"{caption}; dotted: the best ranking": Plot(f"sparsification_{region}_{of}", svg, rows)}
+
+
+def _reliability(region: str, curves: Mapping[str, Sequence[ConfidenceCurve]]) -> dict[str, Plot]:
+    """Return caption -> plot of the pooled reliability of curves; empty if no confidence is a probability."""
+    known = {name: [c.reliability for c in group if c.reliability] for name, group in curves.items()}
+    known = {name: group for name, group in known.items() if group}
+    if not known:
+        return {}
+    pooled = {name: Reliability.pooled(group) for name, group in known.items()}
+    over, more = _statistic("pooled", known.values()), _best(len(pooled))
+    pooled = dict(sorted(pooled.items(), key=lambda named: named[1].ece)[:_MAX_CURVES])
+    drawn = [Line(f"{name} {one.ece:.3f}", one.confidence, one.right) for name, one in pooled.items()]
+    drawn.append(Line("", (0, 1), (0, 1), bound=True))
+    what = f"how often pixels of a confidence are right, with the expected calibration error, {over}{more}"
+    rows = [
+        {"curve": name, "statistic": _statistic("pooled", [known[name]]), "confidence": confidence,
+         "share of right pixels": right}
+        for name, one in pooled.items()
+        for confidence, right in zip(one.confidence, one.right, strict=True)
+    ]  # fmt: skip
+    svg = line_plot(drawn, over, "confidence", "share of right pixels", any_names=True)
+    return {f"Reliability, {region}: {what}; dotted: as often as they say": Plot(f"reliability_{region}", svg, rows)}
 
 
 def _statistic(word: str, groups: Iterable[Sequence[object]]) -> str:
@@ -239,7 +252,7 @@ def _best(n_curves: int) -> str:
 def _figure(
     x_label: str, y_label: str = "", lines: int = 0, height: float = 3.4, fixed: bool = False
 ) -> Iterator[tuple[Axes, list[str]]]:
-    """Axes to draw so many lines in, and a list that receives the SVG's text; ``fixed``: the margins are."""
+    """Yield axes for a number of lines, and a list that receives the SVG's text; ``fixed``: with fixed margins."""
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
