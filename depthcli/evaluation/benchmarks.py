@@ -179,7 +179,7 @@ BENCHMARKS: Mapping[str, Benchmark] = {
 
 
 def benchmark(name: str) -> Benchmark:
-    """Return the benchmark of that name; ConfigError if there is no such benchmark."""
+    """Return the benchmark of that name. Raise ConfigError if there is no such benchmark."""
     chosen = BENCHMARKS.get(name.lower().replace("_", "-"))
     if chosen is None:
         raise ConfigError(f"--for: no benchmark called {name!r}; one of: {', '.join(BENCHMARKS)}")

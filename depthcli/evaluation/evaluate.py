@@ -59,7 +59,7 @@ def scenes_with_truth(
 ) -> list[Scene]:
     """Return the scenes of a folder that have ground truth, or cannot be used; or the scene of one file of it.
 
-    InputError if no scene has ground truth.
+    Raise InputError if no scene has ground truth.
 
     Parameters
     ----------
@@ -318,7 +318,10 @@ class _Scoring:
         return list(rows.values())
 
     def _recognize_maps(self, scenes: Sequence[Scene], names: Mapping[str, list[str]]) -> None:
-        """Find the pattern of the maps of every run that has none under a usual name; InputError if several fit."""
+        """Find the pattern of the maps of every run that has none under a usual name.
+
+        Raise InputError if several patterns fit.
+        """
         usable: dict[str, tuple[Scene, AnyProtocol]] = {}
         for scene in scenes:
             with contextlib.suppress(DepthcliError):

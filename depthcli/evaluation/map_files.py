@@ -52,7 +52,7 @@ class MapFiles:
                 yield folder / (place.replace("{scene}", scene) + suffix)
 
     def find(self, folder: Path, names: Sequence[str]) -> Path | None:
-        """Return the map of the scene that is called by any of ``names``; InputError if several files claim to be."""
+        """Return the map of the scene with any of these names. Raise InputError if several files claim to be it."""
         return next((path for name in names for path in self.candidates(folder, name) if os.path.isfile(path)), None)
 
     def searched(self, names: Sequence[str]) -> str:
@@ -137,7 +137,7 @@ class MapNaming:
 def find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
     """Return name -> folder or file of every run, ``NAME=PLACE``, or ``PLACE``, which is called by its folder's name.
 
-    InputError if there is no run, a place does not exist, or two runs have one name.
+    Raise InputError if there is no run, a place does not exist, or two runs have one name.
     """
     pairs = []
     for text in map(str, runs):
@@ -156,7 +156,7 @@ def find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
 
 
 def run_names(places: Sequence[Path]) -> list[str]:
-    """Return names of folders or files, with as many parents as make them differ; InputError where two are one."""
+    """Return different names of folders or files, with as few parents as possible. Raise InputError if two are one."""
     parts = [place.resolve().parts for place in places]
     for depth in range(1, max(map(len, parts), default=0) + 1):
         names = ["_".join(p[-depth:]).strip("/") or "run" for p in parts]
@@ -266,7 +266,8 @@ def _by_run(
 ) -> tuple[ValueT | None, dict[str, ValueT]]:
     """Return the value of an option for all runs, or None, and run -> value of ``NAME=VALUE`` for that run alone.
 
-    ``parse`` raises ValueError with the expected form. ConfigError for a wrong value, an unknown run, or two values.
+    ``parse`` raises ValueError with the expected form. Raise ConfigError for a wrong value, an unknown run, or two
+    values.
     """
     values: dict[str, ValueT] = {}
     for text in texts:

@@ -400,7 +400,7 @@ def chosen_text(
     form: str | None = None,
     caption: str | None = None,
 ) -> str:
-    """Return tables for a terminal, or in a format; ConfigError for unknown ones, or a caption of several.
+    """Return tables for a terminal, or in a format. Raise ConfigError for unknown ones, or a caption of several.
 
     Parameters
     ----------

@@ -89,7 +89,7 @@ def _figure(view: SceneView | None, key: str) -> str:
 
 
 def _view(run: RunWithoutTruth, scene: Scene) -> SceneView:
-    """Return the view of a scene without truth; InputError where its map cannot be read."""
+    """Return the view of a scene without truth. Raise InputError where its map cannot be read."""
     protocol, presentation = run.protocol, run.protocol.presentation
     path = protocol.files.find(run.folder, [scene.name])
     if path is None:

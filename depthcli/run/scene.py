@@ -210,7 +210,7 @@ def _leave(task: Task, opened: int | None) -> None:
 
 
 def _keep_only(patterns: Sequence[str], folder: Path) -> None:
-    """Delete the files whose name or path matches none of the patterns; InputError if none would stay."""
+    """Delete the files whose name or path matches none of the patterns. Raise InputError if none would stay."""
     paths = [path for path in folder.rglob("*") if path.is_file()]
     others = []
     for path in paths:

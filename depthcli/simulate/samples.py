@@ -82,7 +82,7 @@ class SampleScene(Scene):
 
 
 def sample_scenes(sample: str, values: Values) -> list[SampleScene]:
-    """Return the scenes of a kind of sample that the options ask for; ConfigError if options conflict."""
+    """Return the scenes of a kind of sample that the options ask for. Raise ConfigError if options conflict."""
     if sample == "real":
         return [_real_scene()]
     seed, folder = values["seed"], values.get("from_")
@@ -112,7 +112,7 @@ def sample_scenes(sample: str, values: Values) -> list[SampleScene]:
 
 
 def _real_scene() -> SampleScene:
-    """Return the real pair in the wheel of scikit-image; ConfigError if this version lacks it."""
+    """Return the real pair in the wheel of scikit-image. Raise ConfigError if this version lacks it."""
     package = importlib.util.find_spec("skimage")
     assert package is not None and package.origin is not None
     files = {role: Path(package.origin).parent / "data" / name for role, name in _REAL_FILES.items()}

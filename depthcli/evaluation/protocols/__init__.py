@@ -84,7 +84,7 @@ class Presentation:
     opacity: float = 1.0  # initial one of a map's colors over the scene's image, 0 to 1
     verdicts: tuple[str, str] = ("right", "wrong")  # words for a pixel that is right, and for one that is wrong
     scale: tuple[float, float] | None = None  # of the colors if no truth is known; None: by the map
-    # Returns one run's map as it is shown if no truth is known; InputError if it cannot be read.
+    # Returns one run's map as it is shown if no truth is known; raises InputError if it cannot be read.
     show: Callable[[Path, Scene, MapFiles], ShownMap] = lambda path, _, files: ShownMap(
         read_plane(path), **beside(path, files)
     )
@@ -186,14 +186,14 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
 
     @abstractmethod
     def truth(self, scene: Scene) -> TruthT:
-        """Return the scene's ground truth; InputError if it is of another kind, missing or unusable."""
+        """Return the scene's ground truth. Raise InputError if it is of another kind, missing or unusable."""
 
     @abstractmethod
     def read(self, path: Path, scene: Scene, truth: TruthT) -> Estimate:
-        """Return one run's estimate; InputError if the file is damaged or does not fit the truth."""
+        """Return one run's estimate. Raise InputError if the file is damaged or does not fit the truth."""
 
     def read_confidence(self, path: Path, truth: TruthT) -> NDArray[Any]:
-        """Return a confidence map as stored, NaN and infinite values included; InputError for another size."""
+        """Return a confidence map as stored, NaN and infinite values included. Raise InputError for another size."""
         values = read_plane(path)
         if any(values.shape != region.shape for region in truth.regions.values()):
             raise InputError(f"{path}: the size differs from the truth's")

@@ -139,7 +139,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         return cv2.resize(array, self.settings.resize, interpolation=cv2.INTER_NEAREST)
 
     def read_confidence(self, path: Path, truth: DepthTruth) -> NDArray[Any]:
-        """Return a map as stored, at the size of the settings; InputError for another size."""
+        """Return a map as stored, at the size of the settings. Raise InputError for another size."""
         values = self._resized(read_plane(path))
         if values.shape != truth.depth.shape:
             raise InputError(f"{path}: the size differs from the truth's")

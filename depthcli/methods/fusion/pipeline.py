@@ -79,7 +79,7 @@ class FusedMeasure(ConfigModel):
         return self
 
     def costs(self, pair: StereoPair, n_disparities: int, volumes: Volumes) -> CostVolume:
-        """Return the costs of ``n_disparities`` disparities; InputError if the volume is missing or unusable."""
+        """Return the costs of ``n_disparities`` disparities. Raise InputError if the volume is missing or unusable."""
         if self.cost is not None:
             return self.cost.checked_costs(pair, n_disparities)
         assert self.volume is not None
@@ -185,7 +185,7 @@ class Fusion(AdjustingMatcher):
         return None if self.maps is None else self.maps.choice.network_name
 
     def with_network(self, trained: TrainedNetwork) -> Self:
-        """Return a copy that chooses among the maps by ``trained``; InputError if it is for other maps."""
+        """Return a copy that chooses among the maps by ``trained``. Raise InputError if it is for other maps."""
         assert self.maps is not None
         choice = self.maps.choice.with_network(trained, self.maps.kinds)
         return self.model_copy(update={"maps": self.maps.model_copy(update={"choice": choice})})

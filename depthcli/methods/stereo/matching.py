@@ -60,7 +60,7 @@ def match(
 
     A device is used if one is given and the matcher has an implementation for it. Otherwise the pair is matched in
     tiles if it needs more memory than ``limits`` allow, or if ``limits.tiles`` is "always", and whole if not.
-    InputError if memory does not suffice.
+    Raise InputError if memory does not suffice.
     """
     device = limits.device_for(matcher)
     need, has_tiles = _needs(matcher, pair.shape, max_disparity, limits)

@@ -49,7 +49,7 @@ class Network(Method):
 
     @property
     def session(self) -> Session:
-        """The network, opened once per process and content; InputError if it cannot run on its device."""
+        """The network, opened once per process and content. Raise InputError if it cannot run on its device."""
         try:
             changed = tuple(os.stat(file).st_mtime_ns for file in self.used_files().values())
         except OSError as error:
@@ -57,7 +57,7 @@ class Network(Method):
         return _open_session(self.model, changed, self._device, n_threads())
 
     def prepare(self, device: str) -> None:
-        """Choose the network's device, ``cpu`` or ``cuda:N``, and check it there; InputError if it cannot run."""
+        """Choose the network's device, ``cpu`` or ``cuda:N``, and check it there. Raise InputError if it cannot run."""
         self._device = device
         self.check()
 
@@ -90,7 +90,7 @@ def networks_in(config: BaseModel) -> list[Network]:
 
 
 def network_device(wanted: str) -> str:
-    """Return the networks' device, ``cpu`` or ``cuda:N``, for the text of ``--device``; ConfigError for other kinds."""
+    """Return the networks' device, ``cpu`` or ``cuda:N``, from ``--device``. Raise ConfigError for other kinds."""
     if wanted == "auto":
         return "cuda:0" if _CUDA in _onnxruntime().get_available_providers() else "cpu"
     kind, _, number = wanted.partition(":")
@@ -127,7 +127,7 @@ class Session:
     inference: Any
 
     def run(self, values: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Return output name -> array, without a batch of one, in the network's order; InputError if it fails."""
+        """Return output name -> array, without a batch of one, in the network's order. Raise InputError if it fails."""
         names = [output.name for output in self.inference.get_outputs()]
         try:
             arrays = self.inference.run(names, dict(values))

@@ -86,7 +86,7 @@ def rectify_uncalibrated(left: Points, right: Points, size: tuple[int, int]) -> 
     They turn two pin-hole cameras of one focal length, so that the images keep their shape (quasi-Euclidean
     rectification, Fusiello and Irsara, ICPR 2008). Only matches that a fundamental matrix explains count (MAGSAC). Then
     the right view is moved along the rows so that disparities begin a little above 0. ``size`` is the (width, height)
-    of both views. InputError if there are too few matches, or if half of them stay more than a pixel apart.
+    of both views. Raise InputError if there are too few matches, or if half of them stay more than a pixel apart.
     """
     if len(left) < _MIN_MATCHES:
         raise InputError(f"only {len(left)} key points match, at least {_MIN_MATCHES} are needed to rectify a pair")

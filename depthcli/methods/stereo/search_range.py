@@ -138,7 +138,7 @@ class _SmallMatches(NamedTuple):
 def matched_range(pair: StereoPair) -> MatchedRange:
     """Return the range of the disparities that a pair has at two small sizes, with a margin.
 
-    InputError if too few pixels match, or a view is flat.
+    Raise InputError if too few pixels match, or a view is flat.
     """
     found = _small_matches(pair)
     shares = _MARGIN_BELOW, _MARGIN_ABOVE
@@ -159,7 +159,7 @@ def matched_beyond(pair: StereoPair, search: SearchRange) -> int | None:
 
 
 def _small_matches(pair: StereoPair) -> _SmallMatches:
-    """Match a pair at two small sizes; InputError if too few pixels match, or a view is flat.
+    """Match a pair at two small sizes. Raise InputError if too few pixels match, or a view is flat.
 
     The smaller size is matched over nearly all disparities, the larger one over the disparities found there. A pixel
     counts if both sizes and both views agree on it.
@@ -215,8 +215,8 @@ def complete_range(
     """Replace ends that are "auto" by the reduced pair's, and a missing upper end by the range that it suggests.
 
     ``known`` is the range of the pair's sequence; None: use the pair's own range. Return the range and, if an end is
-    "auto", columns of the report: number of matches and their range. InputError if the range is empty, or if too few
-    pixels match.
+    "auto", columns of the report: number of matches and their range. Raise InputError if the range is empty, or if
+    too few pixels match.
     """
     columns = {}
     if max_disparity is None or "auto" in (min_disparity, max_disparity):

@@ -54,7 +54,7 @@ class ChoiceMethod(Method):
         return None
 
     def with_network(self, trained: TrainedNetwork, maps: tuple[str, ...]) -> Self:
-        """Return a copy that chooses by ``trained`` among ``maps``; InputError if it is for other maps or inputs."""
+        """Return a copy that chooses by ``trained`` among ``maps``. Raise InputError for other maps or inputs."""
         raise NotImplementedError(f"{self.method_name()} needs no network")
 
     @abstractmethod

@@ -24,7 +24,7 @@ class CostMeasure(Method):
         """Return the cost volume of disparities 0 .. ``n_disparities`` - 1."""
 
     def checked_costs(self, pair: StereoPair, n_disparities: int) -> CostVolume:
-        """Return the cost volume of :meth:`__call__`; InputError if it is not one of the pair with finite costs."""
+        """Return the cost volume of :meth:`__call__`. Raise InputError for a wrong shape or wrong numbers."""
         volume, shape = self(pair, n_disparities), (*pair.shape, n_disparities)
         if not isinstance(volume, CostVolume):
             raise InputError(f"cost {self.method_name()}: expected a CostVolume, got {type(volume).__name__}")

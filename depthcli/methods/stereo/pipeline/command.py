@@ -142,7 +142,7 @@ class Program(StereoPipeline):
         return program if found == words else found
 
     def used_files(self) -> dict[str, Path]:
-        """Return role -> file for all words that are files; ConfigError if the program is not found."""
+        """Return role -> file for all words that are files. Raise ConfigError if the program is not found."""
         first, *others = _words(self.program)
         found = shutil.which(first)
         if found is None:

@@ -108,7 +108,10 @@ class NetworkPipeline(Network, StereoPipeline):
             _check_shifts(self, self.session)
 
     def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None) -> StereoResult:
-        """Match the whole pair; disparities beyond 0 .. ``max_disparity`` are out of range. InputError if it fails."""
+        """Match the whole pair; disparities beyond 0 .. ``max_disparity`` are out of range.
+
+        Raise InputError if the network fails.
+        """
         clock = Clock()
         clock.start("network")
         values = self.left_map(pair)
@@ -162,7 +165,10 @@ class NetworkPipeline(Network, StereoPipeline):
         return -disparity if conventions.sign == "negative" else disparity
 
     def _plan(self) -> tuple[list[_Feed], tuple[int, int] | None]:
-        """Return the views that the inputs get, and the (H, W) of images (None: any); InputError if it is not clear."""
+        """Return the views that the inputs get, and the (H, W) of images (None: any).
+
+        Raise InputError if the views are not clear.
+        """
         session = self.session
         feeds = _feeds(session)
         if bool(session.counts) != (self.iterations is not None) or len(session.counts) > 1:
@@ -210,7 +216,10 @@ class _Feed(NamedTuple):
 
 
 def _feeds(session: Session) -> list[_Feed]:
-    """Return the views that a network's inputs get; InputError if their number and channels do not determine them."""
+    """Return the views that a network's inputs get.
+
+    Raise InputError if the number of inputs and their channels do not determine the views.
+    """
     images, channels = [*session.images], {image.channels for image in session.images}
     if len(images) == 1 and channels <= {2, 6}:
         return [_Feed(images[0], (0, 1))]

@@ -50,8 +50,9 @@ def match_in_tiles(
     Methods with ``tile_stages`` compute costs tile by tile; the right view's map, and the steps that need only maps,
     cover the whole image. Any other method matches every tile separately, over one range from its smallest to its
     largest candidate, without pictures and tables. ``figures`` has ``tiles``, their number, ``levels``, the number of
-    sizes that were matched, and ``exact``, which is 1 if the map is the same as the whole pair's. InputError if nothing
-    fits.
+    sizes that were matched, and ``exact``, which is 1 if the map is the same as the whole pair's.
+
+    Raise InputError if not even the smallest tiles fit.
     """
     clock = Clock()
     prepared, matcher = matcher.prepared(pair, max_disparity, context, clock)

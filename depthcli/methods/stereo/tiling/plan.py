@@ -184,7 +184,7 @@ class Memory(NamedTuple):
     ) -> list[tuple[Tile, int]]:
         """Return tiles of ``pair`` that fit, in order, and how many free bytes the pool of arrays may have before each.
 
-        A tile takes ``need`` bytes. InputError if not even the smallest fit.
+        A tile takes ``need`` bytes. Raise InputError if not even the smallest fit.
         """
         held = self.beside(pair).held
         pixels = pair.shape[0] * pair.shape[1]

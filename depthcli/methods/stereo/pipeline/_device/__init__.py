@@ -22,7 +22,7 @@ _LANES, _PIXELS = 32, 8  # threads of a group along the disparities; pixels of a
 
 
 def local(method: Local, pair: DevicePair, max_disparity: int, context: Context | None = None) -> StereoResult:
-    """Match a pair over disparities 0 .. ``max_disparity`` inclusive; InputError if device memory is short.
+    """Match a pair over disparities 0 .. ``max_disparity`` inclusive. Raise InputError if device memory is short.
 
     Stages without a device implementation run on the CPU, with transfers; ``figures["stages_on_cpu"]`` counts them. The
     pair is adjusted, and confidence is measured, on the CPU.
