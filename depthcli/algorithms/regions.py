@@ -323,7 +323,10 @@ def _join_targets(small, target, sizes, sums, means, parent, following, last, mi
 
 @jit
 def joined_regions(count, edges):
-    """Return the group of each region, (count,) int32, joined by ``edges`` (E, 2); numbered by their first members."""
+    """Return the group of each region, (count,) int32, after ``edges`` (E, 2) have joined regions.
+
+    Groups are numbered in the order of their first members.
+    """
     parent = np.arange(count).astype(np.int32)
     for e in range(len(edges)):
         join(parent, edges[e, 0], edges[e, 1])

@@ -35,7 +35,7 @@ def one_line(text: str) -> str:
 
 
 def without_secrets(text: str) -> str:
-    """Return ``text`` without queries and passwords of URLs; a URL in a path has one slash, ``https:/host/a.zip``."""
+    """Return ``text`` without queries and passwords of URLs, including URLs in paths such as ``https:/host/a.zip``."""
     if ":/" not in text:
         return text
     return _URL_AS_PATH.sub(r"\1://", _QUERY.sub(r"\1", _PASSWORD.sub(r"\1", text)))

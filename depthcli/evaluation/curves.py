@@ -139,7 +139,7 @@ class Reliability:
 
     @classmethod
     def of_sums(cls, counts: NDArray[np.int64], confidence: NDArray[Any], right: NDArray[Any]) -> Reliability:
-        """Return the reliability of the sums of every bin, (N_BINS,) each."""
+        """Return the reliability, given each bin's pixels and sums of confidences and right pixels, (N_BINS,) each."""
         with np.errstate(invalid="ignore"):
             means = (tuple((total / counts).tolist()) for total in (confidence, right))
             return cls(tuple(counts.tolist()), *means)
@@ -154,8 +154,8 @@ class Reliability:
 def is_probability(name: str) -> bool:
     """Return whether a confidence map is meant as the probability to be right, by its name.
 
-    That is ``confidence.pfm``, called ``confidence``, or one whose name has the word ``probability``. Measures have no
-    such meaning, those within 0 .. 1 included.
+    The name is ``confidence``, of ``confidence.pfm``, or has the word ``probability``. Other measures are no
+    probabilities, even if their values are within 0 .. 1.
     """
     return name == "confidence" or "probability" in name.split("_")
 

@@ -206,7 +206,7 @@ def evaluate_runs(
 
 @contextlib.contextmanager
 def can_be_missed(file: str, unwritten: dict[str, str], reporter: Reporter) -> Iterator[None]:
-    """Note in ``unwritten`` why a page or sheet could not be written, and warn: maps and scores do not need it."""
+    """Catch errors in writing a page or sheet, which is optional: print them and note them in ``unwritten``."""
     try:
         yield
     except DepthcliError as error:

@@ -66,7 +66,7 @@ class MapFiles:
     def confidences(self, path: Path) -> dict[str, Path]:
         """Return name -> file of the confidence maps in the folder of a map: ``confidence_<name>.pfm`` or ``.npy``.
 
-        That of ``confidence.pfm`` is called ``confidence``.
+        ``confidence.pfm`` has the name ``confidence``.
         """
         files = {}
         for file in sorted(path.parent.glob("confidence*")) if self._in_run_folder(path) else ():
@@ -250,7 +250,7 @@ def given_naming(
     scales: Sequence[str] | None,
     invalids: Sequence[str] | None,
 ) -> tuple[MapNaming, dict[str, MapNaming]]:
-    """Return the options for names and codes of maps of all runs, and run -> options of it alone."""
+    """Return how maps are named and coded: the options for all runs, and run -> options for that run alone."""
     pattern, own_pattern = _by_run(pattern_option, patterns or (), runs, _pattern_of)
     scale, own_scale = _by_run("--scale", scales or (), runs, _positive)
     invalid, own_invalid = _by_run("--invalid", invalids or (), runs, float)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SIGNIFICANT = 0.05
-"""Level that a corrected p value has to be below."""
+"""A difference is significant if its corrected p value is below this level."""
 
 _MAX_ENUMERATED = 10  # differences, some of one size, whose 2^n signs are all tried: a few tenths of a second
 _MAX_EXACT = 50  # of more the normal approximation, as in scipy
@@ -20,7 +20,7 @@ _MAX_NAMES = 3  # of runs in a sentence
 
 
 def mean_of_known(values: Iterable[float]) -> float:
-    """Return the mean of the values that are not NaN; NaN without any."""
+    """Return the mean of the values that are not NaN, or NaN if there are none."""
     known = [v for v in values if not math.isnan(v)]
     return math.fsum(known) / len(known) if known else math.nan
 

@@ -168,7 +168,7 @@ def bound_tables(section: Section) -> list[Table]:
 
 
 def pair_table(section: Section) -> Table:
-    """Return the tests of all pairs of runs of one data set."""
+    """Return the table of significance tests between all pairs of runs of one data set."""
     rows = [
         (b, a, str(test.scenes), str(test.wins), str(test.losses), *("-" if math.isnan(v) else f"{v:.2g}" for v in ps))
         for a, b, test, p in section.pairs

@@ -66,10 +66,10 @@ def difference_volume(
 ) -> None:
     """Write the sums over channels of the differences of (C, H, W) uint8 or int16 images to (H, W, D) ``costs``.
 
-    A sum is divided by 2^``shift`` (rounded half up; 0 for uint8), and at most ``limit``. ``exact``:
-    ``|left - right|``. ``tolerant``: the sampling-insensitive dissimilarity of Birchfield and Tomasi (PAMI 1998). This
-    is the difference between a pixel and the nearest value within half a pixel of its match, from left to right or
-    from right to left, whichever is smaller.
+    Each sum is divided by 2^``shift``, rounded half up, and limited to ``limit``; uint8 images need a ``shift`` of 0.
+    ``exact``: ``|left - right|``. ``tolerant``: the sampling-insensitive dissimilarity of Birchfield and Tomasi
+    (PAMI 1998). This is the difference between a pixel and the nearest value within half a pixel of its match, from
+    left to right or from right to left, whichever is smaller.
     """
     ranges = None
     if sampling == "tolerant":
