@@ -122,31 +122,13 @@ def evaluate(
     if issubclass(judge.kind, VolumePairScene):
         scene = VolumePairScene(name="truth", folder=_TRUTH, fixed=_TRUTH)
         stored, values = _points(estimate, truth, mask)
+    elif issubclass(judge.kind, StereoScene):
+        scene = StereoScene(name="truth", folder=_TRUTH, left=_TRUTH, disparity_left=_TRUTH)
+        stored, values = _disparities(estimate, truth, mask, truth_right, objects)
     else:
-        both = as_map(truth, "truth"), as_map(estimate, "estimate")
-        if issubclass(judge.kind, RgbdScene):
-            with collected_warnings() as warnings:
-                known, values = (
-                    meters(each, 1.0, name) for each, name in zip(both, ("truth", "estimate"), strict=True)
-                )
-        else:
-            known, values = (np.where(np.isfinite(each), each, np.float32(np.nan)) for each in both)
-        shape = known.shape[0], known.shape[1]
-        if not issubclass(judge.kind, StereoScene) and values.shape != shape:
-            sizes = f"{values.shape[1]} x {values.shape[0]}, but the truth is {shape[1]} x {shape[0]}"
-            raise InputError(f"estimate: {sizes}")
-        named = mask if isinstance(mask, Mapping) else {} if mask is None else {"all": mask}
-        masks = {name: as_map(each, f"mask {name}", shape) > 0 for name, each in named.items()}
-        known = np.where(masks.get("all", np.True_), known, np.float32(np.nan))
-        if issubclass(judge.kind, StereoScene):
-            right = None if truth_right is None else as_map(truth_right, "truth_right", shape)
-            front = None if objects is None else as_map(objects, "objects", shape) > 0
-            noc = np.where(masks["noc"], known, np.float32(np.nan)) if "noc" in masks else None
-            stored = StereoTruth(known, right, noc, front, masks)
-            scene = StereoScene(name="truth", folder=_TRUTH, left=_TRUTH, disparity_left=_TRUTH)
-        else:
-            stored = RgbdTruth(known, masks, fb)
-            scene = RgbdScene(name="truth", folder=_TRUTH, color=_TRUTH, depth=_TRUTH)
+        scene = RgbdScene(name="truth", folder=_TRUTH, color=_TRUTH, depth=_TRUTH)
+        with collected_warnings() as warnings:
+            stored, values = _depths(estimate, truth, mask, fb)
     judge.read_truth = lambda _: stored
     prepared = judge.truth(scene)
     try:
@@ -186,3 +168,42 @@ def _points(
     if wanted.ndim == 1 and inside.any():
         stored = RegistrationTruth(grid, np.zeros((int(inside.sum()), 3)), error[inside])
     return stored, expected[inside]
+
+
+def _disparities(
+    estimate: Any,
+    truth: ArrayLike,
+    mask: ArrayLike | Mapping[str, ArrayLike] | None,
+    truth_right: ArrayLike | None,
+    objects: ArrayLike | None,
+) -> tuple[StereoTruth, NDArray[np.float32]]:
+    """Return the true disparities in the mask, and the estimated ones."""
+    both = as_map(truth, "truth"), as_map(estimate, "estimate")
+    known, values = (np.where(np.isfinite(each), each, np.float32(np.nan)) for each in both)
+    shape = known.shape[0], known.shape[1]
+    masks = _masks(mask, shape)
+    known = np.where(masks.get("all", np.True_), known, np.float32(np.nan))
+    right = None if truth_right is None else as_map(truth_right, "truth_right", shape)
+    front = None if objects is None else as_map(objects, "objects", shape) > 0
+    noc = np.where(masks["noc"], known, np.float32(np.nan)) if "noc" in masks else None
+    return StereoTruth(known, right, noc, front, masks), values
+
+
+def _depths(
+    estimate: Any, truth: ArrayLike, mask: ArrayLike | Mapping[str, ArrayLike] | None, fb: float | None
+) -> tuple[RgbdTruth, NDArray[np.float32]]:
+    """Return the true depths in the mask, and the estimated ones. Raise InputError if their sizes differ."""
+    both = as_map(truth, "truth"), as_map(estimate, "estimate")
+    known, values = (meters(each, 1.0, name) for each, name in zip(both, ("truth", "estimate"), strict=True))
+    shape = known.shape[0], known.shape[1]
+    if values.shape != shape:
+        sizes = f"{values.shape[1]} x {values.shape[0]}, but the truth is {shape[1]} x {shape[0]}"
+        raise InputError(f"estimate: {sizes}")
+    masks = _masks(mask, shape)
+    return RgbdTruth(np.where(masks.get("all", np.True_), known, np.float32(np.nan)), masks, fb), values
+
+
+def _masks(mask: ArrayLike | Mapping[str, ArrayLike] | None, shape: tuple[int, int]) -> dict[str, NDArray[np.bool_]]:
+    """Return region -> (H, W) bool; a single mask is the region ``all``."""
+    named = mask if isinstance(mask, Mapping) else {} if mask is None else {"all": mask}
+    return {name: as_map(each, f"mask {name}", shape) > 0 for name, each in named.items()}
