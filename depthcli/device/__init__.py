@@ -253,6 +253,6 @@ def _backend(kind: str) -> Any:
 
 
 def _found(kind: str) -> tuple[list[DeviceInfo], str]:
-    # Return the devices of a back end, in its driver's order, and the reason if there is none.
+    """Return the devices of a back end, in its driver's order, and the reason if there is none."""
     found: tuple[list[DeviceInfo], str] = _backend(kind).find_devices()
     return found

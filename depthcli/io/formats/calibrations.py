@@ -364,6 +364,7 @@ def _ros_fields(fields: dict[str, Any]) -> dict[str, Any]:
 
 
 def _opencv_rig(files: Sequence[dict[str, Any]], fisheye: bool) -> Rig:
+    """Return the rig of OpenCV's fields, which may be in two files: matrices, distortions, rotation, translation."""
     fields: dict[str, Any] = {}
     for file in files:
         model = f"{file.get('model')} {file.get('distortion_model')}".lower()
@@ -391,6 +392,7 @@ def _opencv_rig(files: Sequence[dict[str, Any]], fisheye: bool) -> Rig:
 
 
 def _kitti_rig(fields: dict[str, str], cameras: tuple[int, int]) -> Rig:
+    """Return the rig of two of KITTI's cameras, each of which has its place relative to camera 0."""
     sizes = [image_sides(fields.get(f"S_0{n}"), f"S_0{n}") for n in cameras]
     left, right = (_camera(fields, f"K_0{n}", f"D_0{n}", size) for n, size in zip(cameras, sizes, strict=True))
     turns = [_field(fields, f"R_0{n}", (3, 3)) for n in cameras]
@@ -400,6 +402,7 @@ def _kitti_rig(fields: dict[str, str], cameras: tuple[int, int]) -> Rig:
 
 
 def _kalibr_rig(file: dict[str, Any]) -> Rig:
+    """Return the rig of Kalibr's camchain of two pinhole cameras."""
     cameras = []
     for name in ("cam0", "cam1"):
         fields = file.get(name)
@@ -419,6 +422,7 @@ def _kalibr_rig(file: dict[str, Any]) -> Rig:
 
 
 def _ros_rig(files: Sequence[dict[str, Any]]) -> Rig:
+    """Return the rig of the left and the right camera_info of ROS, from what they say about the rectified pair."""
     if len(files) != 2:
         raise InputError("one camera_info; give the left and the right one: --calibration L --calibration R")
     cameras, rotations = [], []

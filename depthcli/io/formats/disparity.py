@@ -115,6 +115,7 @@ def without_constants(path: Path | str, disparity: NDArray[np.float32], is_truth
 
 
 def _mark_of(known: NDArray[np.float32], shape: tuple[int, ...]) -> np.float32 | None:
+    """Return the value of a map that probably means no value: a far one, or a frequent smallest one; or None."""
     for far in (known.min, known.max) if known.size else ():
         mark = far()
         others = known[known != mark]
@@ -339,6 +340,7 @@ def _numbers(array: NDArray[Any], dimensions: int) -> NDArray[Any]:
 
 
 def _decode_pfm(data: bytes, path: Path | str) -> NDArray[np.float32]:
+    """Return the (H, W) values of a PFM file. Raise InputError if it is damaged or has colors."""
     (height, width, channels), dtype, start = pfm_header(data)
     n_values = width * height * channels
     want, got = n_values * 4, len(data) - start

@@ -127,6 +127,7 @@ def _in_voxels(values: NDArray[Any], fixed: Grid) -> Field:
 
 
 def _npz(path: Path) -> NDArray[Any]:
+    """Return the (Z, Y, X, 3) displacements in an .npz file. Raise InputError if it has not exactly one such array."""
     with open_regular(path) as file:
         try:
             with np.load(file, allow_pickle=False) as stored:
@@ -360,6 +361,7 @@ def _elastix_chain(path: Path, text: str, before: tuple[Path, ...]) -> list[Any]
 
 
 def _elastix_transform(fields: dict[str, list[str]]) -> Any:
+    """Return the transform of one elastix parameter file, as SimpleITK's. Raise InputError for other kinds."""
     sitk = simple_itk()
     name = fields.get("Transform", [""])[0]
 

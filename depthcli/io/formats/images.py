@@ -134,7 +134,7 @@ def read_grey(path: Path | str) -> Image:
 
 
 def _decoded(data: bytes) -> tuple[Image, int]:
-    # Returns the upright image and its stored EXIF orientation, 0 if it was upright.
+    """Return the upright image and its stored EXIF orientation, 0 if it was upright."""
     kind, turn = image_kind(data), 0
     if kind in ("Pfm", "Npy", "Exr"):
         raise InputError(f"a map of numbers ({kind.lower()}), expected an image")
@@ -414,6 +414,7 @@ def pfm_header(data: bytes) -> tuple[tuple[int, int, int], str, int]:
 
 
 def _decode_pnm(data: bytes) -> Image:
+    """Return the image in a PGM or PPM file, plain or binary. Raise InputError if it is damaged."""
     shape, top, start = pnm_header(data)
     height, width, channels = shape
     dtype, count = np.dtype(np.uint16 if top > 255 else np.uint8), height * width * channels

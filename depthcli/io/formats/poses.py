@@ -97,6 +97,7 @@ def pose_of(matrix: NDArray[np.float64]) -> Pose:
 
 
 def _of_quaternion(values: list[float]) -> NDArray[np.float64]:
+    """Return the (4, 4) pose of a translation and a unit quaternion, x, y, z, qx, qy, qz, qw."""
     length = float(np.linalg.norm(values[3:]))
     if abs(length - 1) > 0.01:
         raise InputError(f"the quaternion {values[3:]} (qx qy qz qw) has a length of {length:.3g} instead of 1")

@@ -145,7 +145,7 @@ def search_bytes(
 
 
 def _tile(shape: tuple[int, ...], count: int) -> tuple[int, int, int]:
-    # Return the tile with the smallest halo whose costs fit the scratch memory of a thread.
+    """Return the tile with the smallest halo whose costs fit the scratch memory of a thread."""
     widths = range(_LANES, _MAX_TILE_WIDTH + 1, _LANES)
     width = min(widths, key=lambda w: -(-shape[2] // w) * (w + 8))
     cells = _SCRATCH_BYTES // (2 * count)
@@ -157,7 +157,7 @@ def _tile(shape: tuple[int, ...], count: int) -> tuple[int, int, int]:
 
 
 def _phases(channels: NDArray[np.uint8], width: NDArray[np.int64], stride: NDArray[np.int64]) -> NDArray[np.uint8]:
-    # Return (C, Z, Y, sx, Xs), widened by repeating the border, with voxel x at [x % sx, x // sx].
+    """Return (C, Z, Y, sx, Xs), widened by repeating the border, with voxel x at [x % sx, x // sx]."""
     around = [(0, 0), *((int(w), int(w)) for w in width)]
     step = int(stride[2])
     around[3] = (int(width[2]), int(width[2]) + step)

@@ -89,7 +89,7 @@ def host_bytes(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int,
 
 
 def _needs(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> tuple[int, bool]:
-    # The host's memory for the whole pair, bytes, and whether the pair may be matched in tiles instead.
+    """Return the host's memory for the whole pair, bytes, and whether it may be matched in tiles instead."""
     device = limits.device_for(matcher)
     if device is not None and device.info.is_gpu:
         return _HOST_BYTES_PER_PIXEL * shape[0] * shape[1] + _HOST_BYTES, False

@@ -165,7 +165,7 @@ class RegistrationSearch(RegistrationPipeline):
     def _searches(
         self, fixed: NDArray[np.float32], warped: NDArray[np.float32], iso: float, clock: Clock
     ) -> tuple[list[CurveMeasures], list[CurveMeasures]]:
-        # Search with every feature at full resolution, and with the first feature at every coarser resolution.
+        """Search with every feature at full resolution, and with the first feature at every coarser resolution."""
         fine: list[CurveMeasures] = []
         coarse: list[CurveMeasures] = []
         shape = _every_nth(fixed, self.stride).shape
@@ -222,7 +222,7 @@ class RegistrationSearch(RegistrationPipeline):
     def _error(
         self, fine: list[CurveMeasures], coarse: list[CurveMeasures], iso: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        # Return expected error and displacement, mm, from coarse searches where the error exceeds the fine search.
+        """Return expected error and displacement, mm; coarse searches replace the fine one where errors exceed it."""
         length = self.measure if self.measure in _LENGTHS else "eshift"
         error = expected_error(fine, length, iso, self.smoothing / self.stride)
         displacement = np.mean([curves.displacement for curves in fine], axis=0)
@@ -235,25 +235,26 @@ class RegistrationSearch(RegistrationPipeline):
         return error, displacement
 
     def _score(self, fine: list[CurveMeasures], iso: float) -> NDArray[np.float32]:
-        # Return -log2 of the expected error in voxels, always from eshift. Without a match, a search with a smaller
-        # radius than the table's expects smaller errors; ``doubt`` compensates for that.
+        """Return -log2 of the expected error in voxels, always from the measure ``eshift``."""
+        # Without a match, a search with a smaller radius than the table's expects smaller errors.
         doubt = max(1, _SCORE_RADIUS / self.radius)
         error = expected_error(fine, "eshift", iso, _SCORE_SMOOTHING / self.stride)
         return np.asarray(-np.log2(np.maximum(error * np.float32(doubt / iso), np.float32(_MIN_ERROR))), np.float32)
 
 
 def _ramp(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.float32]:
-    # 0 below low, 1 above high, linear between
+    """Return 0 below ``low``, 1 above ``high``, and linear shares between."""
     ramp: NDArray[np.float32] = np.clip((values - np.float32(low)) / np.float32(high - low), 0, 1)
     return ramp
 
 
 def _every_nth(volume: NDArray[Any], stride: int) -> NDArray[Any]:
-    # axes of one voxel stay as they are
+    """Return every n-th voxel along each axis; axes of one voxel stay as they are."""
     return volume[tuple(slice(None, None, stride if n > 1 else 1) for n in volume.shape)]
 
 
 def _enlarged(curves: CurveMeasures, shape: tuple[int, ...], times: int) -> CurveMeasures:
+    """Return the measures of a search at ``shape`` halved ``times`` times, enlarged to ``shape``."""
     step = [1 / 2**times if n > 1 else 1.0 for n in shape]
 
     def enlarge(values: NDArray[np.float32]) -> NDArray[np.float32]:

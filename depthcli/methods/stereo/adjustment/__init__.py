@@ -100,7 +100,7 @@ class AdjustingMatcher(PairMatcher, BaseModel):
 
 
 def _reduced(pair: StereoPair, max_disparity: int) -> tuple[StereoPair, int]:
-    # The pair at the reduced size, in 8-bit color, and the factor by which its sides are smaller.
+    """Return the pair at the reduced size, in 8-bit color, and the factor by which its sides are smaller."""
     factor, n_pixels = 2, pair.shape[0] * pair.shape[1]
     while n_pixels > _MAX_PIXELS * factor**2 or n_pixels * max_disparity > _MAX_COSTS * factor**3:
         factor *= 2
@@ -134,7 +134,7 @@ def _estimated(reduced: StereoPair, max_disparity: int, what: Adjust) -> tuple[C
 
 
 def _matched(pair: StereoPair, max_disparity: int) -> Floats | None:
-    # Disparities of a reduced pair, NaN without a match; None if there are too few.
+    """Return the disparities of a reduced pair, NaN without a match; None if there are too few."""
     if min(pair.shape) < BLOCK or max_disparity + 1 < _MIN_DISPARITIES:
         return None
     disparity = _STAGES.match(pair, max_disparity, Clock()).disparity
