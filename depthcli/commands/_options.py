@@ -313,7 +313,7 @@ class RunOptions(Printing):
 
     @cached_property
     def conditions(self) -> list[Condition]:
-        """The conditions of ``--flag``. Raise ConfigError for a wrong one, or ``--fail-flagged`` without any."""
+        """The conditions of ``--flag``. Raise ConfigError if one is wrong, or ``--fail-flagged`` has none."""
         return conditions_of(self.flag, self.fail_flagged)
 
     @cached_property

@@ -111,7 +111,10 @@ def color8(image: Image, bits: int | None = None) -> NDArray[np.uint8]:
 
 
 def infrared_image(image: Image) -> NDArray[np.uint8]:
-    """Return the first channel as (H, W) uint8; 16-bit images, few of which use their range, up to their 99.9 %."""
+    """Return the first channel as (H, W) uint8.
+
+    Few 16-bit images use their whole range, so their quantile of 99.9 % becomes 255.
+    """
     if image.ndim == 3:
         image = image[..., 0]
     if image.dtype == np.uint8:

@@ -86,9 +86,9 @@ def bound_scores(
 ) -> list[Score]:
     """Return coverage, median, sharpness, and wrong pixels among the surest, of one region; nothing without a value.
 
-    The coverage is that of the bounds that are not open; without any it is NaN, as of an empty region. The sharpness is
-    the mean of the finite bounds over the smallest constant that covers as many of their pixels; there is none if that
-    is 0.
+    Open bounds are left out of the coverage, which is NaN if all are open or the region is empty. The sharpness is the
+    mean of the finite bounds over the smallest constant bound that covers as many of their pixels. If this constant is
+    0, there is no sharpness.
 
     Parameters
     ----------

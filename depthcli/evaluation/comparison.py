@@ -27,15 +27,15 @@ class Section:
 
     Attributes
     ----------
-    scenes, common : names of all scenes, and of scenes of which every run has a map
-    missing : run -> names of the scenes of which it has no map
+    scenes, common : names of all scenes, and of the scenes with a map of every run
+    missing : run -> names of the scenes without a map of this run
     places : the means that differ, ``MEAN`` first
     regions : names of the regions, in the protocol's order; the first is the main region
     keys : all pairs of metric and region that have a score
     known : region -> scenes whose truth is known somewhere in it
     scores : (run, scene or mean) -> (metric, region) -> score
-    figure_regions : regions that the single figure of a run is taken over: the protocol's, without those that some
-        scene lacks, so that every scene counts alike; or else the main region
+    figure_regions : regions that enter the single figure of a run: regions of the protocol that all scenes have, so
+        that every scene counts alike; if there are none, the main region
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Section:
         return [r for r in self.results if r.run == run and (place == MEAN or r.scene in self.common)]
 
     def counts(self, run: str, region: str | None = None) -> dict[str, int]:
-        """Return the numbers of scenes, with truth in a region: all, those that the run lacks, those all runs have."""
+        """Count the scenes with truth in a region: all, those without a map of the run, those with maps of all runs."""
         scenes = set(self.scenes) if region is None else self.known[region]
         return {
             "scenes": len(scenes),

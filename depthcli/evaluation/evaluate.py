@@ -167,7 +167,7 @@ def evaluate_runs(
     Parameters
     ----------
     runs : folders of maps; or maps, if there is a single scene; ``NAME=PLACE`` names one
-    scenes : those with ground truth, found in ``truth``, and those that cannot be used
+    scenes : scenes found in ``truth``, with ground truth or with a reason why they cannot be used
     output : folder for the results; None: nothing is written
 
     Raises
@@ -175,8 +175,8 @@ def evaluate_runs(
     ConfigError
         ``output`` has files that no evaluation wrote under the names of its results; nothing is computed then.
     InputError
-        No run, or one of which several files may be the maps. A map that is missing or unreadable is no error: it
-        becomes a result with its reason (``report.failed``).
+        There is no run, or it is ambiguous which files of a run are its maps. A missing or unreadable map raises
+        nothing: it becomes a result with its reason (``report.failed``).
     OutputError
         The results cannot be written.
     """

@@ -135,7 +135,7 @@ class MapNaming:
 
 
 def find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
-    """Return name -> folder or file of every run, ``NAME=PLACE``, or ``PLACE``, which is called by its folder's name.
+    """Return name -> folder or file of every run. ``NAME=PLACE`` gives the name; ``PLACE`` has its folder's name.
 
     Raise InputError if there is no run, a place does not exist, or two runs have one name.
     """

@@ -134,8 +134,8 @@ def compare_all(by_scene: Mapping[str, Sequence[float]]) -> list[tuple[str, str,
 class Ranking:
     """Runs, the best single figure first, and the test of every further one against the best.
 
-    ``by_scene`` has the figure of every scene, lower is better, NaN for none; ``ranks`` the average ranks that are
-    printed beside the words, which follow them; without, the words follow the tests' own.
+    ``by_scene`` has one figure per scene: lower is better, NaN means none. ``ranks`` are the printed average ranks. The
+    verdicts follow them, or the ranks of the tests if ``ranks`` is None.
     """
 
     def __init__(

@@ -32,7 +32,7 @@ class Condition(NamedTuple):
 
 
 def conditions_of(texts: Sequence[str] | None, fail_flagged: bool) -> list[Condition]:
-    """Return the conditions in the texts. Raise ConfigError for a wrong one, or --fail-flagged without any."""
+    """Return the conditions in the texts. Raise ConfigError if one is wrong, or if --fail-flagged has none."""
     if fail_flagged and not texts:
         raise ConfigError("--fail-flagged needs a condition, such as --flag 'measured<0.6'")
     made = []

@@ -117,7 +117,7 @@ class View:
 
 
 def spread(values: NDArray[np.floating[Any]]) -> Range:
-    """Return the 1st and the 99th percentile of the finite values; (0, 0) without any."""
+    """Return the 1st and the 99th percentile of the finite values, or (0, 0) if there are none."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return 0.0, 0.0
@@ -153,7 +153,7 @@ def pixel_kinds(
 ) -> NDArray[np.uint8]:
     """Return the kind of every pixel, ``UNKNOWN`` to ``EMPTY``, as uint8.
 
-    ``known`` are those whose truth is known and counts, ``hidden`` those occluded in the other view.
+    ``known`` pixels have a truth that counts; ``hidden`` pixels are occluded in the other view.
     """
     kinds = np.uint8(RIGHT) + wrong + np.uint8(HIDDEN_RIGHT - RIGHT) * hidden  # no more memory for whole volumes
     return np.where(known, np.where(missing, np.uint8(EMPTY), kinds), np.uint8(UNKNOWN))

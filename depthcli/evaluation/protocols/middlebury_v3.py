@@ -99,7 +99,7 @@ class MiddleburyV3Protocol(DisparityProtocol):
             return np.repeat(np.repeat(estimate * np.float32(factor), factor, axis=0), factor, axis=1)
 
     def lowest(self, truth: DisparityTruth) -> float:
-        """Return that any number is a value: the SDK clips those below the range."""
+        """Return -inf: every number is a value, because the SDK clips numbers below the range."""
         return -math.inf
 
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:

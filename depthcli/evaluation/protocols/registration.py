@@ -281,7 +281,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
     def mean(self, results: Sequence[MapResult]) -> list[Score]:
         """Compute every metric over all points of the scenes; points of a scene without any value count as the worst.
 
-        Of more than ``_MAX_POOLED`` points every scene gives the same share, drawn without regard to the other scenes.
+        If there are more than ``_MAX_POOLED`` points, the same share of every scene is drawn, independently by scene.
         """
         scored = [result for result in results if result.scores]
         regions = dict.fromkeys(result.scores[0].region for result in scored)

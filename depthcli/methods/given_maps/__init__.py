@@ -54,8 +54,9 @@ _N_LOOKED_AT = 100_000  # values of a map, for its step
 class Networks(NamedTuple):
     """Networks for the log odds that a pixel is correct, that it is hidden, and that it is correct without right image.
 
-    ``errors`` is the error table of ``right`` for maps of depthcli, ``given_errors`` for maps of any program, which may
-    have been computed at half the size or smoothed; ``one_view_errors`` is that of ``one_view``, for any program.
+    The network ``right`` has two error tables: ``errors`` for maps of depthcli, and ``given_errors`` for maps of any
+    program, which may have been smoothed or computed at half the size. The table of ``one_view`` is
+    ``one_view_errors``, for any program.
     """
 
     right: TrainedNetwork

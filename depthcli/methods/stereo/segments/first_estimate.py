@@ -79,7 +79,7 @@ def _margins(begin, end, costs, best, margins):
 
 
 def segment_window(volume: CostVolume, labels: NDArray[np.int32], radius: int) -> CostVolume:
-    """Average costs over those pixels of a square window that lie in the segment of its center, in fixed point."""
+    """Average costs, in fixed point, over the pixels of a square window that are in the same segment as its center."""
     fixed = as_fixed_point(volume) if volume.costs.dtype != np.uint8 else volume
     out = memory.empty(fixed.costs.shape, np.uint16)
     refinement = FixedPoint.FRACTION if volume.costs.dtype == np.uint8 else 1
@@ -144,8 +144,8 @@ def _distrust_constant_costs(begin, end, costs, trusted):
 def grid_parts(labels, cell, cut):
     """Return (H, W) int32 numbers of the parts into which a grid, ``cell`` pixels wide, cuts segments, and their count.
 
-    ``cut`` (n,) bool tells which of the segments ``labels`` (H, W) are cut. The others keep their numbers, if there are
-    any, and parts are counted from n on.
+    Segments ``labels`` (H, W) are cut where ``cut`` (n,) bool is true. If some are not cut, they keep their numbers,
+    and parts are numbered from n on.
     """
     height, width = labels.shape
     parts = empty(labels.shape, np.int32)
