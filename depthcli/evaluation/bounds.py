@@ -30,7 +30,7 @@ _TOLERANCE = 10.0  # percentage points below the level from which on a map cover
 
 
 def promised(text: str) -> Bound | None:
-    """Return the promise of a run by the key ``bound`` of its config's text; None without one."""
+    """Return the promise of a run by the key ``bound`` in the text of its config, or None if there is no such key."""
     for model in (Bound, DepthBound, VolumeBound):
         with contextlib.suppress(ConfigError, KeyError, ValidationError):
             return model.model_validate(parse_config(text, "").data["bound"])

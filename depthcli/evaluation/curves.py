@@ -163,7 +163,7 @@ def is_probability(name: str) -> bool:
 def reliability(confidence: NDArray[Any], right: NDArray[np.bool_]) -> Reliability | None:
     """Compute how often pixels are right, (N,) bool, by their confidence, (N,) float.
 
-    None where the confidences are no probabilities: not all within 0 .. 1, or there is no pixel.
+    Return None if there is no pixel, or if the confidences are no probabilities: not all are within 0 .. 1.
     """
     values = confidence.astype(np.float64)
     if not values.size or not ((values >= 0) & (values <= 1)).all():  # NaN is not, either

@@ -440,7 +440,7 @@ class _Scoring:
 
 
 def _extra(read: Callable[..., NDArray[Any]], file: Path | None, *more: Any) -> NDArray[Any] | None:
-    """Return what a file beside a map holds; None without a file, or, with a warning, if it cannot be read."""
+    """Return the content of a file beside a map, or None if there is none or, with a warning, it is unreadable."""
     try:
         return None if file is None else read(file, *more)
     except DepthcliError as error:  # the scores do not need it

@@ -185,12 +185,12 @@ def recognized(
     scenes: Mapping[str, tuple[MapFiles, Sequence[str]]],
     fits: Callable[[str, Path, MapNaming], bool],
 ) -> MapNaming:
-    """Return the options with the one pattern that the maps of a run have where none has a usual place.
+    """Return the options with the pattern of a run's maps, which is recognized if no map is in a usual place.
 
     A pattern is the path of a file in the folder with ``{scene}`` in place of the scene's name, such as
-    ``{scene}/out/{scene}_final.pfm``. Files that are named as something else (``confidence.pfm``, ``right.png``), or
-    after no scene, are left out. InputError, with the files and a ``--pattern``, if several patterns are as frequent
-    and not exactly one of them matches files that can be read.
+    ``{scene}/out/{scene}_final.pfm``. Left out are files whose name contains no scene, and files whose name says that
+    they are no such map (``confidence.pfm``, ``right.png``). If several patterns are equally frequent, the one whose
+    files can be read is taken. Raise InputError, which lists files and a ``--pattern``, if this is not exactly one.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ def _by_run(
 
 
 def _pattern_of(text: str) -> str:
-    """Return the pattern of a run's maps, such as ``{scene}/disparity.tiff``; ValueError where it is none."""
+    """Return the pattern of a run's maps, such as ``{scene}/disparity.tiff``. Raise ValueError if it is none."""
     rest, path = text.replace("{scene}", ""), PurePosixPath(text)
     if not text or "{" in rest or "}" in rest or path.is_absolute() or ".." in path.parts or not path.suffix:
         raise ValueError("expected the path of a scene's map in the run folder, such as '{scene}/disparity.tiff'")
@@ -293,7 +293,7 @@ def _pattern_of(text: str) -> str:
 
 
 def _positive(text: str) -> float:
-    """Return a number from 1e-6 on; ValueError where it is none."""
+    """Return the number in the text. Raise ValueError unless it is finite and at least 1e-6."""
     if not 1e-6 <= (value := float(text)) < float("inf"):
         raise ValueError("expected a number from 1e-6 on")
     return value

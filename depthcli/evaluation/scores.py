@@ -277,8 +277,8 @@ class MapResult:
 def difference(results: Iterable[MapResult], headline: Metric, several: bool) -> float:
     """Return by how much the headlines of the runs' maps of one scene differ, in the main region.
 
-    That is the largest less the smallest one, or, of a single run instead of ``several``, how bad its own is. -inf:
-    there is no number.
+    For ``several`` runs, return the largest headline minus the smallest. For a single run, return its headline, with
+    the sign that makes larger values worse. Return -inf if there is no number.
     """
     values = []
     for result in results:

@@ -54,7 +54,7 @@ def correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 def roc_area(score: NDArray[np.float64], positive: NDArray[np.bool_]) -> float:
     """Compute the area under the ROC curve: the chance that a positive has a higher score than a negative.
 
-    NaN where all points are positive, or none is.
+    Return NaN if all points are positive or none is.
     """
     n = int(positive.sum())
     if n in (0, len(positive)):

@@ -70,7 +70,7 @@ def combinations(axes: Axes, drawn: int | None = None, seed: int = 0) -> list[Co
     """Return all combinations, the last key changing fastest, or ``drawn`` random ones in the same order.
 
     A larger ``drawn`` with the same seed gives the same combinations and more, so that a sweep can be extended.
-    ConfigError where there are too many.
+    Raise ConfigError if there are too many.
     """
     total = math.prod(map(len, axes.values()))
     if min(total, drawn or total) > _MAX_RUNS:

@@ -297,7 +297,7 @@ def report_document(command: str, rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def read_report(folder: Path) -> dict[str, Row]:
-    """Return scene -> row of a run folder's report, with the expected types; empty without a report."""
+    """Return scene -> row of a run folder's report, with the expected types; empty if there is no report."""
     document = read_json(folder / REPORT_FILES[0])
     rows = document.get("scenes") if isinstance(document, dict) else None
     found = {}

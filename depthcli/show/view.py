@@ -20,7 +20,7 @@ Picture: TypeAlias = NDArray[np.uint8]
 Range: TypeAlias = tuple[float, float]
 
 Palette: TypeAlias = Mapping[int, tuple[str, tuple[int, int, int]]]
-"""Bit -> (word, RGB color); 0 is a pixel without any. The first of several bits gives the color, others tint it."""
+"""Bit -> (word, RGB color); 0: no bit is set. If several bits are set, the first gives the color, others tint it."""
 
 # Colors that the common kinds of color blindness tell apart (Okabe and Ito, 2008). White as a tint makes pale.
 _LIGHT, _BLACK, _WHITE = (225, 225, 225), (0, 0, 0), (255, 255, 255)

@@ -174,7 +174,7 @@ class RectifiedRig:
     def unrectify_depth(self, depth: NDArray[np.float32], values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Return a sparse depth map of the rectified left camera, and its ``values``, in the left camera's pixels.
 
-        Of several points in one pixel, the nearest one stays.
+        If several points fall into one pixel, the nearest one stays.
         """
         rows, columns = np.nonzero(np.isfinite(depth))
         z = depth[rows, columns].astype(np.float64)

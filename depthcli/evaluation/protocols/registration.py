@@ -316,7 +316,7 @@ def _drawn(points: tuple[Errors, Errors], share: float) -> tuple[Errors, Errors]
 
 
 def _with_missing(score: Score, share: float, n_points: int) -> Score:
-    """Return the score if a share of the points is in scenes without any value; NaN without a worst value."""
+    """Return the score if a share of the points is in scenes without values; NaN if there is no worst value."""
     if share == 0:
         return replace(score, region_pixels=n_points)
     worst = math.nan if score.metric.worst is None else score.metric.worst

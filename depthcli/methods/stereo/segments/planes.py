@@ -245,9 +245,9 @@ def matching_cost(begin, end, unary, costs, values, order, starts, coefficients,
 def visibility(begin, end, unary, limits, order, starts, coefficients, weight):
     """Add the cost of planes that put untrusted pixels in front of the right view's surface.
 
-    A pixel that failed the left-right check is occluded or mismatched. If the plane's disparity
-    exceeds ``limits`` (H, W + 2), the right view's disparity at the match plus one pixel, the right view would see the
-    pixel and would have matched it. Every such pixel costs ``weight``. A match outside the right image costs nothing.
+    A pixel that failed the left-right check is occluded or mismatched. If the plane's disparity exceeds
+    ``limits`` (H, W + 2), the right view's disparity at the match plus one pixel, the right view would see the pixel
+    and would have matched it. Every such pixel costs ``weight``. A match outside the right image costs nothing.
     """
     width = limits.shape[1] - 2
     a, b, c = coefficients[:, 0].copy(), coefficients[:, 1].copy(), coefficients[:, 2].copy()
