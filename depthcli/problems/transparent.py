@@ -17,7 +17,7 @@ from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import SparseFrame, infrared_image
-from depthcli.core.maps import DepthStatus
+from depthcli.core.maps import DepthStatus, Floats
 from depthcli.io.formats.calibrations import read_color_infrared_rig
 from depthcli.io.formats.depth import MILLIMETERS
 from depthcli.io.formats.files import collected_warnings
@@ -230,35 +230,70 @@ def complete_transparent(
             second = as_depth(sparse, "sparse", config.depth_scale, measured.shape, floats)
         camera = config.camera
         check_center("intrinsics", camera, measured.shape)
+    problem = Transparent(config)
     frame: SparseFrame | RgbIrFrame
-    if config.stereo is None and config.pipeline.needs == "objects":
-        if objects is None:
-            raise InputError("this config needs a mask of the transparent objects: give objects")
-        inside = np.nan_to_num(as_map(objects, "objects", measured.shape)) != 0
-        if not inside.any():
-            raise InputError("objects: no pixel is inside the mask")
-        nothing = np.full_like(measured, np.nan)
-        if not (np.isfinite(measured) & ~inside).any():
-            raise InputError("objects: no pixel outside of them has a depth")
-        frame = SparseFrame(image, measured, fb or sensor_fb(camera), camera, sparse=nothing, objects=inside)
+    if problem.by_mask:
+        frame = _masked_frame(image, measured, fb or sensor_fb(camera), camera, objects)
     elif config.stereo is None:
-        if second is None:
-            raise InputError("this config needs sparse depth: give sparse, or a preset with stereo")
-        surer = None if sparse_confidence is None else as_map(sparse_confidence, "sparse_confidence", second.shape)
-        frame = SparseFrame(image, measured, fb or sensor_fb(None), camera, sparse=second, sparse_confidence=surer)
+        frame = _sparse_frame(image, measured, fb or sensor_fb(None), camera, second, sparse_confidence)
     else:
-        if infrared is None:
-            raise InputError("this config needs an infrared image: give infrared, or sparse with another preset")
-        if (calibration is None) == (fb is None):
-            both = "the calibration of both cameras, or fb of a rectified pair"
-            raise ConfigError(f"an infrared image needs either {both}")
-        grey, rig = infrared_image(as_image(infrared, "infrared")), None
-        if calibration is not None:
-            found = read_color_infrared_rig(Path(calibration), (width, height), (grey.shape[1], grey.shape[0]))
-            rig, fb = (None, found) if isinstance(found, int | float) else (found, None)
-        if rig is None and grey.shape != measured.shape:
-            raise InputError("infrared: a rectified pair has one size")
-        frame = RgbIrFrame(image, grey, measured, rig, fb or 1.0)
+        frame = _infrared_frame(image, measured, infrared, calibration, fb)
     inputs = FrameInputs(frame, scale, stereo=config.stereo, camera=camera)
-    completed = Transparent(config).solve(inputs, Context(available_memory()))
+    completed = problem.solve(inputs, Context(available_memory()))
     return replace(completed, warnings=(*lines, *completed.warnings))
+
+
+def _masked_frame(
+    color: NDArray[np.uint8], measured: Floats, fb: float, camera: Intrinsics | None, objects: Image | None
+) -> SparseFrame:
+    """Return the frame with a mask of its objects and no sparse depth. Raise InputError for an unusable mask."""
+    if objects is None:
+        raise InputError("this config needs a mask of the transparent objects: give objects")
+    inside = np.nan_to_num(as_map(objects, "objects", measured.shape)) != 0
+    if not inside.any():
+        raise InputError("objects: no pixel is inside the mask")
+    nothing = np.full_like(measured, np.nan)
+    if not (np.isfinite(measured) & ~inside).any():
+        raise InputError("objects: no pixel outside of them has a depth")
+    return SparseFrame(color, measured, fb, camera, sparse=nothing, objects=inside)
+
+
+def _sparse_frame(
+    color: NDArray[np.uint8],
+    measured: Floats,
+    fb: float,
+    camera: Intrinsics | None,
+    sparse: Floats | None,
+    confidence: Image | None,
+) -> SparseFrame:
+    """Return the frame with its sparse depth, meters. Raise InputError without sparse depth."""
+    if sparse is None:
+        raise InputError("this config needs sparse depth: give sparse, or a preset with stereo")
+    surer = None if confidence is None else as_map(confidence, "sparse_confidence", sparse.shape)
+    return SparseFrame(color, measured, fb, camera, sparse=sparse, sparse_confidence=surer)
+
+
+def _infrared_frame(
+    color: NDArray[np.uint8],
+    measured: Floats,
+    infrared: Image | None,
+    calibration: str | Path | None,
+    fb: float | None,
+) -> RgbIrFrame:
+    """Return the frame with its infrared image, and the cameras of a calibration or ``fb`` of a rectified pair.
+
+    Raise InputError without an infrared image or for one of another size, ConfigError for both or none of the cameras.
+    """
+    if infrared is None:
+        raise InputError("this config needs an infrared image: give infrared, or sparse with another preset")
+    if (calibration is None) == (fb is None):
+        both = "the calibration of both cameras, or fb of a rectified pair"
+        raise ConfigError(f"an infrared image needs either {both}")
+    height, width = measured.shape
+    grey, rig = infrared_image(as_image(infrared, "infrared")), None
+    if calibration is not None:
+        found = read_color_infrared_rig(Path(calibration), (width, height), (grey.shape[1], grey.shape[0]))
+        rig, fb = (None, found) if isinstance(found, int | float) else (found, None)
+    if rig is None and grey.shape != measured.shape:
+        raise InputError("infrared: a rectified pair has one size")
+    return RgbIrFrame(color, grey, measured, rig, fb or 1.0)
