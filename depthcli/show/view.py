@@ -165,11 +165,15 @@ def draw(view: View, what: str, scale: Range | None = None) -> Picture:
     Parameters
     ----------
     view : of an image, or of a slice of a volume
-    what : ``preview``: the values from blue, the lowest of the scale, to red, next to any bound; ``values``:
-        from violet to yellow, over the image; ``bound``: likewise, logarithmic; ``error``: kinds of pixel, shaded by
-        any error, over the image; ``status``; ``confidence:NAME``, or ``confidence`` of values that are one: grey
-        levels from the 1st to the 99th percentile
-    scale : ends of the colors, instead of the view's, or the bound's own; of errors, 0 and the largest
+    what : what is drawn:
+
+        - ``preview``: values from blue, the lowest of the scale, to red, beside any bound;
+        - ``values``: values from violet to yellow, over the image;
+        - ``bound``: the bound from violet to yellow, on a logarithmic scale;
+        - ``error``: kinds of pixel, shaded by any error, over the image;
+        - ``status``: colors of the palette;
+        - ``confidence:NAME``, or ``confidence`` if the values are one: grey levels, 1st to 99th percentile
+    scale : ends of the colors; None: those of the view, or the bound's own. For errors, 0 and the largest
     """
     if what == "preview":
         picture = _turbo(view.values, *view.scale)
@@ -193,6 +197,7 @@ def draw(view: View, what: str, scale: Range | None = None) -> Picture:
 
 
 def _turbo(values: NDArray[np.floating[Any]], low: float, high: float) -> Picture:
+    """Return values from blue, ``low``, to red, ``high``."""
     known = ~np.isnan(values)
     with np.errstate(over="ignore", invalid="ignore"):
         grey = np.clip(np.rint((values - np.float32(low)) * (255.0 / max(high - low, 1e-6))), 0, 255)
@@ -203,12 +208,14 @@ def _turbo(values: NDArray[np.floating[Any]], low: float, high: float) -> Pictur
 
 
 def _viridis(values: NDArray[np.floating[Any]], low: float, high: float) -> Picture:
+    """Return values from violet, ``low``, to yellow, ``high``."""
     picture = map_colors()[step_of(values, low, high, 256)]
     picture[np.isnan(values)] = NO_VALUE
     return picture
 
 
 def _grey(confidence: NDArray[np.floating[Any]]) -> Picture:
+    """Return a confidence from black to white, which are its 1st and 99th percentile."""
     known = ~np.isnan(confidence)
     picture = np.zeros(confidence.shape, np.uint8)
     low, high = spread(confidence[known])
@@ -218,7 +225,7 @@ def _grey(confidence: NDArray[np.floating[Any]]) -> Picture:
 
 
 def _over_image(view: View, picture: Picture, nothing: NDArray[np.bool_]) -> Picture:
-    """Return the picture over the image of the view, which is alone at ``nothing``."""
+    """Return the picture over the image of the view; pixels of ``nothing`` show the image alone."""
     if view.image is None or view.opacity >= 1:
         return picture
     mixed = np.rint(view.opacity * picture + (1 - view.opacity) * view.image).astype(np.uint8)
@@ -226,12 +233,12 @@ def _over_image(view: View, picture: Picture, nothing: NDArray[np.bool_]) -> Pic
 
 
 def _is_depth(view: View) -> bool:
-    """Return whether values are inverse depths, of a known range, as of ``View.of_depth``."""
+    """Return whether the values are inverse depths of a known range, as ``View.of_depth`` makes them."""
     return view.unit == "m" and 0 < view.scale[0] <= view.scale[1]
 
 
 def _with_scales(picture: Picture, view: View) -> Picture:
-    """Return the picture of a map over the scale of depths in meters, and beside it any bounds over theirs."""
+    """Return the picture of a map above a scale of its depths, if it has any, beside its bounds above their scale."""
     bound, (height, width) = view.bound, picture.shape[:2]
     total = width if bound is None else 2 * width + _MARGIN
     sheet = np.full((height + 3 * _LINE, total, 3), 255, np.uint8)
@@ -253,7 +260,7 @@ def _with_scales(picture: Picture, view: View) -> Picture:
 def _draw_scale(
     sheet: Picture, place: tuple[int, int, int], colors: Picture, title: str, ends: Sequence[float], unit: str
 ) -> None:
-    """Draw a title, a bar of colors and the numbers of its left end, middle and right end; place: x, y, width."""
+    """Draw a title, a bar of colors, and numbers at its left end, middle and right end; ``place`` is x, y, width."""
     x, y, width = place
     sheet[y + _LINE + 2 : y + 2 * _LINE - 6, x : x + width] = colors
     draw_text(sheet, title, (x, y + _LINE // 2), _INK, max_width=width)
