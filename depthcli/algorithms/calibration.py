@@ -319,11 +319,12 @@ def fit_rig(board: Board, pairs: dict[str, tuple[Corners, Corners]], alone: tupl
 
 
 def _lengths(rig: Rig) -> Doubles:
-    # Return the focal lengths of both cameras, pixels, and the baseline, meters.
+    """Return the focal lengths of both cameras, pixels, and the baseline, meters."""
     return np.array([*np.diag(rig.left.matrix)[:2], *np.diag(rig.right.matrix)[:2], rig.baseline])
 
 
 def _without_outliers(photos: dict[str, Any], fit: Callable[[dict[str, Any]], ResultT]) -> ResultT:
+    """Return the fit to the photos without outliers, which are removed one by one; at least half of them stay."""
     used, outliers = dict(photos), dict[str, float]()
     min_used = max(MIN_PHOTOS, (len(photos) + 1) // 2)
     if len(used) < MIN_PHOTOS:
@@ -342,6 +343,7 @@ def _without_outliers(photos: dict[str, Any], fit: Callable[[dict[str, Any]], Re
 
 
 def _fit_camera(board: Board, photos: dict[str, Corners], size: Size, fisheye: bool) -> CameraFit:
+    """Return the camera fitted to all photos. Raise InputError if they do not determine it."""
     objects, pixels = _arrays(board, photos.values())
     deviations = None
     try:
@@ -415,6 +417,10 @@ def _focal_sensitivity(camera: Camera, objects: Sequence[Floats], poses: Sequenc
 def _fit_rig(
     board: Board, pairs: dict[str, tuple[Corners, Corners]], cameras: tuple[Camera, Camera], refine: bool
 ) -> RigFit:
+    """Return the rig fitted to all pairs, with the lenses of ``cameras``, refined if ``refine``.
+
+    Raise InputError if the pairs do not determine it.
+    """
     objects, left = _arrays(board, (pair[0] for pair in pairs.values()))
     _, right = _arrays(board, (pair[1] for pair in pairs.values()))
     lenses = [each for camera in cameras for each in (camera.matrix.copy(), camera.coefficients.copy())]
@@ -448,15 +454,18 @@ def _fit_rig(
 
 
 def _arrays(board: Board, views: Iterable[Corners]) -> tuple[list[Floats], list[Floats]]:
+    """Return for every view the points of its corners on the board, meters, and in the image, pixels."""
     listed: list[Corners] = list(views)
     return [board.points[each.ids] for each in listed], [each.pixels.astype(np.float32) for each in listed]
 
 
 def _projected(camera: Camera, points: NDArray[Any], turn: Doubles, shift: Doubles) -> Doubles:
+    """Return the pixels (N, 2) of points on a board in the pose ``turn`` (a rotation vector) and ``shift``."""
     project = cv2.fisheye.projectPoints if camera.fisheye else cv2.projectPoints
     pixels, _ = project(points.astype(np.float64)[:, None], turn, shift, camera.matrix, camera.coefficients)
     return np.asarray(pixels, np.float64).reshape(-1, 2)
 
 
 def _rms(residuals: Doubles) -> float:
+    """Return the root of the mean squared length of (N, 2) residuals."""
     return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
