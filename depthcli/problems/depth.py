@@ -28,6 +28,7 @@ from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.scenes.places import local
 from depthcli.problems.problem import DEPTH_FILES, SceneJob, Shown
 from depthcli.problems.results import (
+    Depth,
     PointCloud,
     check_limits,
     chosen_pixels,
@@ -125,28 +126,21 @@ class ToDepth(SceneJob[DisparityScene]):
             in_cloud = cloud_pixels(depth, depth.bound, in_cloud, *limits)
         clock.start("save")
         depth.save(folder, config["depth_scale"])
-        valid = np.isfinite(depth.values)
-        median = round(float(np.median(depth.values[valid])), 6) if valid.any() else None
         beyond, beyond_warning = beyond_png(depth.values, config["depth_scale"])
-        row: Row = {**size_of(disparity), "density": share(valid)}
-        row |= {"median_depth": median, "focal": geometry.left.fx, "baseline": geometry.baseline}
-        row |= {"doffs": geometry.offset, "beyond_png": round(beyond, 6)}
-        if depth.bound is not None:
-            row["median_bound"] = median_of(depth.bound)
+        row = _row_of(depth, geometry, beyond)
         warnings = [doubt] if (doubt := stored.doubts(width, height)) else []
         if config["ply"]:
             PointCloud.of(depth, geometry.left, image, in_cloud).save(folder / "points.ply")
-            row["points"] = int(np.count_nonzero(valid & in_cloud))
+            row["points"] = int(np.count_nonzero(np.isfinite(depth.values) & in_cloud))
             warnings += empty_cloud(depth.values, in_cloud)
         warnings += [f"{beyond_warning}; see --depth-scale"] if beyond_warning else []
-        if median is not None and not MIN_DEPTH <= median <= MAX_DEPTH:
-            warnings.append(
-                f"the median depth is {median:.4g} m, with a focal length of {geometry.left.fx:.4g} px and a baseline "
-                f"of {geometry.baseline:.4g} m; does the calibration belong to this map?"
-            )
-        return Outcome(row, clock.seconds, warnings)
+        return Outcome(row, clock.seconds, warnings + _implausible(row))
 
     def _geometry(self, scene: DisparityScene, shape: tuple[int, ...] | None = None) -> PairGeometry:
+        """Return the cameras from the options, or from the scene's calibration; raise InputError without any.
+
+        ``shape`` (H, W) is that of the map, if it is known.
+        """
         focal, baseline = self.config["focal"], self.config["baseline"]
         if focal is not None and shape is not None:
             camera = Intrinsics(focal, focal, (shape[1] - 1) / 2, (shape[0] - 1) / 2)
@@ -166,6 +160,27 @@ class ToDepth(SceneJob[DisparityScene]):
         # The unit of our own calibration is known, whatever the baseline is.
         own: dict[str, Any] = {"cameras": scene.cameras, "asks": not is_own}
         return read_geometry(files, Reading(**(own | given)), size, rectified)
+
+
+def _row_of(depth: Depth, geometry: PairGeometry, beyond: float) -> Row:
+    """Return the report's columns; ``beyond`` is the share of the depths that ``depth.png`` cannot hold."""
+    valid = np.isfinite(depth.values)
+    median = round(float(np.median(depth.values[valid])), 6) if valid.any() else None
+    row: Row = {**size_of(depth.values), "density": share(valid)}
+    row |= {"median_depth": median, "focal": geometry.left.fx, "baseline": geometry.baseline}
+    row |= {"doffs": geometry.offset, "beyond_png": round(beyond, 6)}
+    return row if depth.bound is None else row | {"median_bound": median_of(depth.bound)}
+
+
+def _implausible(row: Row) -> list[str]:
+    """Return a warning if the median depth is too near or too far for a scene."""
+    median = row["median_depth"]
+    if median is None or MIN_DEPTH <= median <= MAX_DEPTH:
+        return []
+    return [
+        f"the median depth is {median:.4g} m, with a focal length of {row['focal']:.4g} px and a baseline "
+        f"of {row['baseline']:.4g} m; does the calibration belong to this map?"
+    ]
 
 
 def find_maps(
