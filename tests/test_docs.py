@@ -5,6 +5,7 @@ import json
 import os
 import re
 import runpy
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -122,9 +123,41 @@ def test_measured_tables_have_their_place():
 def test_the_tables_of_the_thesis_show_what_was_measured():
     thesis = runpy.run_path(str(ROOT / "scripts" / "thesis"))
     measured = thesis["Measured"](json.loads((DOCS / "static" / "thesis" / "measured.json").read_text("utf-8")))
-    made = thesis["blocks"](measured)
-    for page in thesis["PAGES"]:
-        assert thesis["renewed"](page.read_text("utf-8"), made) == page.read_text("utf-8"), "run scripts/thesis DATA"
+    written = thesis["written"](measured, set("234567"))
+    for file, text in written.items():
+        assert file.read_text("utf-8") == text, "run scripts/thesis DATA --page"
+    sheets = set((DOCS / "static" / "thesis").glob("*.csv"))
+    assert sheets == written.keys() - set(thesis["PAGES"])
+    page = (DOCS / "thesis.md").read_text("utf-8")
+    assert all(f"](static/thesis/{file.name})" in page for file in sheets)
+
+
+def test_a_sheet_has_the_means_and_each_item():
+    thesis = runpy.run_path(str(ROOT / "scripts" / "thesis"))
+    items = {
+        "v2 A": {"x, y": {"v2 gap": 1.0, "AUC": float("nan"), "last": 5.0}, "z": {"last": 1.0}},
+        "2005 B": {"x, y": {"2005 gap": 2.0, "AUC": 0.25}, "w": {"2005 gap": 9.0}},
+    }
+    assert thesis["sheet"](items, ["scene", "name"], 2, ["last", "w"]).splitlines() == [
+        "scene,name,gap,AUC",
+        'mean,"x, y",1.50,0.25',
+        'v2 A,"x, y",1.00,',
+        '2005 B,"x, y",2.00,0.25',
+    ]
+    assert thesis["sheet"]({"A": {"x": {"ms": 3.0}}}, ["scene", "name"], 1) == "scene,name,ms\nA,x,3.0\n"
+
+
+def test_check_compares_the_sheets_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    main = runpy.run_path(str(ROOT / "scripts" / "thesis"))["main"]
+    shutil.copytree(DOCS / "static" / "thesis", tmp_path / "thesis")
+    monkeypatch.setitem(main.__globals__, "FOLDER", tmp_path / "thesis")
+    (tmp_path / "data").mkdir()
+    monkeypatch.setattr("sys.argv", ["thesis", str(tmp_path / "data"), "--chapter", "4", "--check"])
+    assert main() == 0, capsys.readouterr().out
+    sheet = tmp_path / "thesis" / "kinect.csv"
+    sheet.write_text(sheet.read_text("utf-8").replace("mean,accurate,", "mean,accurate,9"), "utf-8")
+    assert main() == 1
+    assert "kinect.csv" in capsys.readouterr().out
 
 
 def test_the_config_keys_on_the_page_of_the_thesis_exist():
