@@ -165,7 +165,7 @@ def test_the_config_keys_on_the_page_of_the_thesis_exist():
     for chapter in (DOCS / "thesis.md").read_text("utf-8").split("\n## Chapter ")[1:]:
         if chapter.startswith("1:"):
             continue  # it has no method of its own
-        found = re.search(r"^depthcli (\S+) thesis/", chapter, re.MULTILINE)
+        found = re.search(r"^ *depthcli (\S+) thesis/", chapter, re.MULTILINE)
         assert found
         presets = [
             name for each, name, _ in list_presets() if (each, name[:10]) == (found[1], f"thesis/ch{chapter[0]}")
