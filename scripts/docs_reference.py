@@ -228,7 +228,7 @@ def _kind(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 
 def data() -> str:
     """Return the page of layouts and file formats."""
-    rows = [(f"`{each.name}`", each.wants) for each in ALL_KINDS.with_plugins().rows]
+    rows = [(f"`{each.name}`", each.about) for each in ALL_KINDS.with_plugins().rows]
     others = {end: _about(type(of)) for end, of in map_formats().items()}
     maps: dict[str, list[str]] = {}
     for name in protocols.names():

@@ -212,35 +212,37 @@ def why_no_device() -> str:
     return "; ".join(f"{kind}: {_found(kind)[1]}" for kind in KINDS if not _found(kind)[0])
 
 
-def find_device(wanted: str) -> DeviceInfo | None:
-    """Return the device that ``wanted`` names; None for the CPU.
+def find_device(address: str) -> DeviceInfo | None:
+    """Return the device that ``address`` names; None for the CPU.
 
     ``cpu``: the CPU; ``auto``: the first GPU, otherwise the CPU; ``opencl`` or ``cuda``: the first device of this kind,
     GPUs first; ``opencl:1``: the device with this address. Raise ConfigError for any other text, DeviceError if there
     is no such device.
     """
-    if wanted == "cpu":
+    if address == "cpu":
         return None
-    if wanted == "auto":
+    if address == "auto":
         return next((info for info in devices() if info.is_gpu), None)
-    kind, _, number = wanted.partition(":")
-    if kind not in KINDS or not (number.isdigit() or wanted == kind):
-        raise ConfigError(f"device {wanted}: expected cpu, auto, opencl or cuda, or one of several by opencl:N, cuda:N")
+    kind, _, number = address.partition(":")
+    if kind not in KINDS or not (number.isdigit() or address == kind):
+        raise ConfigError(
+            f"device {address}: expected cpu, auto, opencl or cuda, or one of several by opencl:N, cuda:N"
+        )
     found, why_none = _found(kind)
     for info in sorted(found, key=lambda info: not info.is_gpu):
-        if wanted in (info.address, kind):
+        if address in (info.address, kind):
             return info
     if found:
-        raise DeviceError(f"device {wanted}: there is none; there are {', '.join(i.address for i in found)}")
-    raise DeviceError(f"device {wanted}: no device: {why_none}")
+        raise DeviceError(f"device {address}: there is none; there are {', '.join(i.address for i in found)}")
+    raise DeviceError(f"device {address}: no device: {why_none}")
 
 
 _open: dict[str, Device] = {}
 
 
-def open_device(wanted: str) -> Device | None:
-    """Open the device that ``wanted`` names (see :func:`find_device`), once per process; None for the CPU."""
-    info = find_device(wanted)
+def open_device(address: str) -> Device | None:
+    """Open the device that ``address`` names (see :func:`find_device`), once per process; None for the CPU."""
+    info = find_device(address)
     if info is None:
         return None
     if info.address not in _open:

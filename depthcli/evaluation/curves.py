@@ -194,14 +194,14 @@ class HiddenPixels(NamedTuple):
     """Counts of pixels that a map marks as hidden from the right view, against the ground truth."""
 
     both: int  # marked as hidden, and hidden in truth
-    said: int
+    marked: int
     true: int
     pixels: int
 
     @classmethod
-    def of(cls, said: NDArray[np.bool_], true: NDArray[np.bool_]) -> HiddenPixels:
+    def of(cls, marked: NDArray[np.bool_], true: NDArray[np.bool_]) -> HiddenPixels:
         """Count pixels (N,)."""
-        return cls(int(np.sum(said & true)), int(np.sum(said)), int(np.sum(true)), said.size)
+        return cls(int(np.sum(marked & true)), int(np.sum(marked)), int(np.sum(true)), marked.size)
 
     @classmethod
     def pooled(cls, parts: Iterable[HiddenPixels]) -> HiddenPixels:
@@ -210,8 +210,8 @@ class HiddenPixels(NamedTuple):
 
     def shares(self) -> dict[str, float]:
         """Return precision, recall, F1, and the shares of marked and of truly hidden pixels, percent."""
-        parts = {"precision": (self.both, self.said), "recall": (self.both, self.true),
-                 "F1": (2 * self.both, self.said + self.true), "said": (self.said, self.pixels),
+        parts = {"precision": (self.both, self.marked), "recall": (self.both, self.true),
+                 "F1": (2 * self.both, self.marked + self.true), "said": (self.marked, self.pixels),
                  "true": (self.true, self.pixels)}  # fmt: skip
         return {name: 100 * part / whole if whole else math.nan for name, (part, whole) in parts.items()}
 
@@ -226,5 +226,5 @@ def hidden_pixels(status: NDArray[np.uint8], regions: Mapping[str, NDArray[np.bo
     known, hidden = regions["all"], regions["all"] & ~regions["nonocc"]
     if not hidden.any():
         return None
-    said = (status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
-    return HiddenPixels.of(said[known], hidden[known])
+    marked = (status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
+    return HiddenPixels.of(marked[known], hidden[known])

@@ -182,15 +182,15 @@ class Ranking:
         even = [run for run in words if run not in (*worse, *better)]
         if not worse and not better:
             return f"No significant difference (the smallest p is {min(self.p_values.values()):.2g})."
-        said = []
+        sentences = []
         if worse:
             every = "every other run" if len(worse) == len(self.tests) > 1 else _names(worse)
-            said.append(f"{self.runs[0]} is significantly better than {every}.")
+            sentences.append(f"{self.runs[0]} is significantly better than {every}.")
         if better:
-            said.append(f"In most scenes {_names(better)} is significantly better, though not in the mean.")
+            sentences.append(f"In most scenes {_names(better)} is significantly better, though not in the mean.")
         if even:
-            said.append(f"No significant difference to {_names(even)}.")
-        return " ".join(said)
+            sentences.append(f"No significant difference to {_names(even)}.")
+        return " ".join(sentences)
 
 
 def _names(runs: Sequence[str]) -> str:

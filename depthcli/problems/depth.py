@@ -152,9 +152,9 @@ class ToDepth(SceneJob[DisparityScene]):
                 f"{scene.folder}: no calibration with the images; give --calibration, or --focal, --baseline"
             )
         files = [scene.calibration, *map(Path, filter(None, [self.config.get("second_calibration")]))]
-        beside = scene.folder / "calib.txt"
+        calib_file = scene.folder / "calib.txt"
         size = None if shape is None else (shape[1], shape[0])
-        rectified = beside if os.path.isfile(beside) and os.path.isfile(scene.folder / "left.png") else None
+        rectified = calib_file if os.path.isfile(calib_file) and os.path.isfile(scene.folder / "left.png") else None
         given = {key: self.config[key] for key in ("unit", "fisheye", "cameras", "alpha") if key in self.config}
         is_own = rectified is not None and scene.calibration == rectified and is_of_a_run(rectified)
         # The unit of our own calibration is known, whatever the baseline is.
@@ -247,8 +247,8 @@ def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None) ->
         left, calibration, cameras, geometry = pair.left, pair.calibration, pair.cameras, pair.geometry
     if all(os.path.isfile(folder / name) for name in ("calib.txt", "left.png")):  # the run rectified the pair
         left, calibration, cameras, geometry = folder / "left.png", folder / "calib.txt", (2, 3), None
-    elif pair is None and left is not None and os.path.isfile(beside := left.parent / "calib.txt"):
-        calibration = beside
+    elif pair is None and left is not None and os.path.isfile(calib_file := left.parent / "calib.txt"):
+        calibration = calib_file
     problem = ""
     if left is not None and isinstance(meta := read_json(left.parent / "meta.json"), dict) and "uncalibrated" in meta:
         problem = (

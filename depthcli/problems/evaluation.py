@@ -57,8 +57,8 @@ class Scores:
         except KeyError:
             known = ", ".join(dict.fromkeys(score.metric.heading for score in self.scores))
             regions = ", ".join(dict.fromkeys(score.region for score in self.scores))
-            wanted = metric if threshold is None else f"{metric} {threshold:g}"
-            text = f"no single score {wanted!r} of {region!r}; metrics: {known}; regions: {regions}"
+            score = metric if threshold is None else f"{metric} {threshold:g}"
+            text = f"no single score {score!r} of {region!r}; metrics: {known}; regions: {regions}"
             raise InputError(text) from None
 
     def rows(self) -> list[dict[str, Any]]:
@@ -153,19 +153,19 @@ def _points(
     estimate: Any, truth: ArrayLike, mask: ArrayLike | Mapping[str, ArrayLike] | None
 ) -> tuple[RegistrationTruth, NDArray[np.float32]]:
     """Return the true registration errors, and the expected errors at the same points."""
-    given, wanted = np.asanyarray(estimate), np.asanyarray(truth)
-    if given.shape != wanted.shape or given.size == 0:
-        raise InputError(f"estimate: shape {given.shape}, but the truth has {wanted.shape}")
+    given, true = np.asanyarray(estimate), np.asanyarray(truth)
+    if given.shape != true.shape or given.size == 0:
+        raise InputError(f"estimate: shape {given.shape}, but the truth has {true.shape}")
     if isinstance(mask, Mapping):
         raise InputError("mask: registration errors have one region; expected an array")
-    expected, error = (as_volume(np.atleast_2d(each), n) for each, n in ((given, "estimate"), (wanted, "truth")))
+    expected, error = (as_volume(np.atleast_2d(each), n) for each, n in ((given, "estimate"), (true, "truth")))
     if mask is not None:
         error = np.where(np.asarray(mask).reshape(error.shape) > 0, error, np.float32(np.nan))
     depth, height, width = error.shape
     grid = Grid((width, height, depth), (1.0, 1.0, 1.0))
     inside = np.isfinite(error)
     stored = RegistrationTruth(grid, np.zeros((0, 3)), error)
-    if wanted.ndim == 1 and inside.any():
+    if true.ndim == 1 and inside.any():
         stored = RegistrationTruth(grid, np.zeros((int(inside.sum()), 3)), error[inside])
     return stored, expected[inside]
 

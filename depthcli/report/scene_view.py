@@ -226,9 +226,9 @@ class SceneView:
         self.figures |= shown.figures
         titles = {name: name for name in ("confidence", f"confidence_{PROBABILITY}", PROBABILITY)}
         chosen = {titles.get(name, f"confidence {name}"): name for name in [*confidence][:_MAX_CONFIDENCES]}
-        for said, name in chosen.items():
+        for label, name in chosen.items():
             finite = confidence[name][np.isfinite(confidence[name])]
-            self.mean_confidence[f"{said}, mean"] = float(finite.mean()) if finite.size else np.nan
+            self.mean_confidence[f"{label}, mean"] = float(finite.mean()) if finite.size else np.nan
         self.mean_confidence.pop("probability, mean", None)  # the figure "expected wrong" shows it
         if shown.axes and (preview := _preview(path.with_name("preview.png"))):  # three slices show more than one
             self.sheet, self.thumbs = preview, {}
@@ -244,7 +244,7 @@ class SceneView:
                 color = "rgb({},{},{})".format(*entry["color"])
                 if color not in self.legend.values():
                     self.legend[entry["words"]] = color
-        self._drawn[run] = drawn | {f"{said}, dark: unsure": (f"confidence:{n}", small) for said, n in chosen.items()}
+        self._drawn[run] = drawn | {f"{label}, dark: unsure": (f"confidence:{n}", small) for label, n in chosen.items()}
 
     def close(self, file: Path) -> None:
         """Draw the pictures of the runs, and move the data from memory to ``file``.

@@ -138,8 +138,8 @@ def _framed(picture: Picture, ends: str, title: str, style: _Style) -> Picture:
     left, middle = (frame.shape[1] - width) // 2, frame.shape[1] // 2
     frame[_MARGIN : _MARGIN + height, left : left + width] = picture
     half = _MARGIN // 2
-    beside = _MARGIN + height // 2
-    places = ((middle, half), (middle, _MARGIN + height + half), (left - half, beside), (left + width + half, beside))
+    level = _MARGIN + height // 2
+    places = ((middle, half), (middle, _MARGIN + height + half), (left - half, level), (left + width + half, level))
     for letter, place in zip(ends, places, strict=True):
         draw_text(frame, letter, place, ink, centered=True)
     draw_text(frame, title, (_MARGIN, len(frame) - _LINE // 2), ink)

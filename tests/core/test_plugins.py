@@ -70,7 +70,7 @@ class MyLayout(Layout):
     """Two images, where it is named."""
 
     kind = StereoScene
-    wants = "`left.png`, `right.png`"
+    about = "`left.png`, `right.png`"
     protocol = "my_protocol"
 
     def scenes(self, folder: Folder):

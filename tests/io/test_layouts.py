@@ -160,7 +160,7 @@ def test_listing_opens_no_image(tmp_path: Path):
 
 def test_every_layout_says_what_it_wants():
     assert [each.name for each in ALL_KINDS.rows] == sorted(each.name for each in ALL_KINDS.rows)
-    assert all(each.wants and issubclass(each.kind, Scene) for each in ALL_KINDS.rows)
+    assert all(each.about and issubclass(each.kind, Scene) for each in ALL_KINDS.rows)
 
 
 @pytest.mark.parametrize(("stems", "truth", "width", "codes"), [

@@ -42,7 +42,7 @@ class ShownMap(View):
     note: str = ""  # explanation of the figures
 
 
-def beside(
+def companions(
     path: Path, files: MapFiles, unit: float = 1.0, read: Callable[[Path], NDArray[Any]] = read_plane
 ) -> dict[str, Any]:
     """Return ``confidence`` and ``bound``, times ``unit``, in the folder of a map, as far as they can be read."""
@@ -86,7 +86,7 @@ class Presentation:
     scale: tuple[float, float] | None = None  # of the colors if no truth is known; None: by the map
     # Returns one run's map as it is shown if no truth is known; raises InputError if it cannot be read.
     show: Callable[[Path, Scene, MapFiles], ShownMap] = lambda path, _, files: ShownMap(
-        read_plane(path), **beside(path, files)
+        read_plane(path), **companions(path, files)
     )
     # Returns the picture beneath maps: (H, W, 3) uint8 RGB, or (Z, Y, X) uint8 grey levels of a volume; or None.
     image: Callable[[Scene], NDArray[np.uint8] | None] = _first_image

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.core.maps import Status
 from depthcli.evaluation.map_files import DisparityFiles, MapFiles
-from depthcli.evaluation.protocols import Presentation, Protocol, Settings, ShownMap, beside
+from depthcli.evaluation.protocols import Presentation, Protocol, Settings, ShownMap, companions
 from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally, in_order
 from depthcli.io.formats.disparity import read_disparity, read_foreign_map, read_status, scale_of
 from depthcli.io.formats.files import warn
@@ -41,7 +41,7 @@ def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
     if file is not None:
         rejected = (read_status(file) & int(Status.OCCLUDED | Status.MISMATCH)) != 0
         figures["left-right inconsistent, %"] = 100.0 * float(rejected.mean())
-    return ShownMap(values, figures=figures, note=_INCONSISTENT, **beside(path, files))
+    return ShownMap(values, figures=figures, note=_INCONSISTENT, **companions(path, files))
 
 
 PRESENTATION = Presentation(

@@ -15,7 +15,7 @@ from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.errors import InputError
 from depthcli.core.maps import DepthStatus
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, beside
+from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, companions
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, in_order
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
@@ -55,7 +55,7 @@ def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
     scale = getattr(scene, "depth_scale", None)
     values = 1000.0 * read_depth(path, scale, scale_floats=False).astype(np.float64)
     figures = {"no value, %": 100.0 * float(np.isnan(values).mean())}
-    return ShownMap(values, figures=figures, **beside(path, files, 1000.0))
+    return ShownMap(values, figures=figures, **companions(path, files, 1000.0))
 
 
 def _sensor(scene: Scene) -> NDArray[np.float64] | None:

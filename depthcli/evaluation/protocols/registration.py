@@ -17,7 +17,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.volumes import ENDS, PLANES, Grid
 from depthcli.evaluation.curves import ConfidenceCurve, sparsification
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, beside
+from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, companions
 from depthcli.evaluation.scores import MapResult, Metric, Score, percent
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.formats.volumes import read_volume
@@ -127,7 +127,7 @@ def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
         f"{_CAUTION}; in the body: mean over the mask, or over tissue and all that it encloses, and its 95 % quantile"
     )
     figures = {"expected error in the body, mm": mean, "95 % quantile, mm": high}
-    return ShownMap(values, axes=_axes(grid), figures=figures, note=note, **beside(path, files, read=_turned))
+    return ShownMap(values, axes=_axes(grid), figures=figures, note=note, **companions(path, files, read=_turned))
 
 
 def _tables(run: str, kept: Sequence[tuple[Errors, Errors]]) -> list[Table]:

@@ -334,8 +334,8 @@ def _decode_npy(data: bytes, path: Path | str) -> NDArray[Any]:
 def _numbers(array: NDArray[Any], dimensions: int) -> NDArray[Any]:
     array = squeezed(array, dimensions)
     if array.ndim != dimensions or array.dtype.kind not in "biuf" or not array.size:
-        want = "(H, W)" if dimensions == 2 else "(H, W, D)"
-        raise InputError(f"expected an {want} array of numbers, got {array.dtype} of shape {array.shape}")
+        expected = "(H, W)" if dimensions == 2 else "(H, W, D)"
+        raise InputError(f"expected an {expected} array of numbers, got {array.dtype} of shape {array.shape}")
     return array
 
 
@@ -343,11 +343,13 @@ def _decode_pfm(data: bytes, path: Path | str) -> NDArray[np.float32]:
     """Return the (H, W) values of a PFM file. Raise InputError if it is damaged or has colors."""
     (height, width, channels), dtype, start = pfm_header(data)
     n_values = width * height * channels
-    want, got = n_values * 4, len(data) - start
-    if want > got:
-        raise InputError(f"damaged PFM ({width} x {height} needs {want} bytes of data, the file has {got})")
-    if want < got:
-        warn(f"{shown(path)}: the PFM has {got - want} bytes more than its {width} x {height} values; they are ignored")
+    needed, got = n_values * 4, len(data) - start
+    if needed > got:
+        raise InputError(f"damaged PFM ({width} x {height} needs {needed} bytes of data, the file has {got})")
+    if needed < got:
+        warn(
+            f"{shown(path)}: the PFM has {got - needed} bytes more than its {width} x {height} values; they are ignored"
+        )
     values = np.frombuffer(data, dtype, n_values, start).reshape(height, width, channels)[::-1]
     if channels == 3 and not np.array_equal(values, np.repeat(values[..., :1], 3, axis=2), equal_nan=True):
         raise InputError("a colour PFM, expected one channel")

@@ -120,8 +120,8 @@ def _spline(field: Field) -> Any:
 def _in_voxels(values: NDArray[Any], fixed: Grid) -> Field:
     """Return the field for (Z, Y, X, 3) displacements in voxels from a file without a grid."""
     if values.shape[:3] != fixed.shape:
-        have, want = " x ".join(map(str, values.shape[2::-1])), " x ".join(map(str, fixed.size))
-        raise InputError(f"a field of {have} voxels, but the fixed volume has {want}")
+        size, expected = " x ".join(map(str, values.shape[2::-1])), " x ".join(map(str, fixed.size))
+        raise InputError(f"a field of {size} voxels, but the fixed volume has {expected}")
     with np.errstate(over="ignore", invalid="ignore"):
         return Field(np.ascontiguousarray(values, np.float32), fixed, "voxels")
 
@@ -410,9 +410,9 @@ def read_landmarks(path: Path, grid: Grid, raw: bool = False) -> NDArray[np.floa
             points = points_of(lines[2:])
             return grid.to_point(points[:, ::-1]) if lines[0].lower() == "index" else points
         comments = [line.lstrip("# ") for line in lines if line.startswith("#")]
-        said = dict(re.findall(r"^([^=]*?)\s*=\s*(.*)$", "\n".join(comments), re.MULTILINE))  # as in 3D Slicer's .fcsv
-        heads = [said["columns"]] if "columns" in said else [text for text in comments if "=" not in text]
+        head = dict(re.findall(r"^([^=]*?)\s*=\s*(.*)$", "\n".join(comments), re.MULTILINE))  # as in 3D Slicer's .fcsv
+        heads = [head["columns"]] if "columns" in head else [text for text in comments if "=" not in text]
         points = points_of([line for line in lines if not line.startswith("#")], heads)
         if raw and suffix_of(path) == ".txt":
             return grid.to_point(points[:, ::-1] - 1)
-        return points * [-1, -1, 1] if said.get("CoordinateSystem") in ("RAS", "0") else points
+        return points * [-1, -1, 1] if head.get("CoordinateSystem") in ("RAS", "0") else points

@@ -82,5 +82,5 @@ def initial_transform(path: Path, text: str) -> Path | None:
     name = found[-1].strip('"') if found else ""
     if name in ("", "NoInitialTransform"):
         return None
-    beside, elsewhere = path.parent / Path(name).name, Path(name)
-    return elsewhere if not beside.is_file() and elsewhere.is_file() else beside
+    sibling, elsewhere = path.parent / Path(name).name, Path(name)
+    return elsewhere if not sibling.is_file() and elsewhere.is_file() else sibling

@@ -185,10 +185,10 @@ def _check_decoded(pixels: NDArray[Any], size: tuple[int, int], channels: int, b
     """Raise InputError if a decoder's array differs from the file's header in size, channels or bits."""
     shape = (*size, *((channels,) if channels > 1 else ()))
     if pixels.shape != shape or pixels.dtype.itemsize != bits // 8:
-        got, want = (" x ".join(map(str, each)) for each in (pixels.shape, shape))
+        got, expected = (" x ".join(map(str, each)) for each in (pixels.shape, shape))
         raise InputError(
-            f"decoded as {got} {pixels.dtype}, but its header says {want} of {bits} bit; store it as an 8- or 16-bit "
-            "PNG, grey or RGB"
+            f"decoded as {got} {pixels.dtype}, but its header is of {expected} with {bits} bit; store it as an "
+            "8- or 16-bit PNG, grey or RGB"
         )
 
 

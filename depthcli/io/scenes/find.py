@@ -169,7 +169,7 @@ def discover_scenes(
     names = ", ".join(row.name for row in rows)
     wanted = f"files of the layouts {names}: see docs/reference/data.md"
     if len(rows) == 1:
-        wanted = f"{names}: {rows[0].wants.replace('`', '').partition(';')[0]}"
+        wanted = f"{names}: {rows[0].about.replace('`', '').partition(';')[0]}"
     raise NoScenesError(f"{path}: no scenes found in it or two levels below (looked for {wanted})")
 
 

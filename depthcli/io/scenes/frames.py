@@ -132,7 +132,7 @@ class Tum(Layout):
 
     name = "tum"
     kind = RgbdScene
-    wants = (
+    about = (
         "`rgb/`, `depth/` with `associations.txt`, or `rgb.txt` and `depth.txt`; 5000 codes a meter, unless "
         "`meta.json` says it; where known `groundtruth.txt` (poses)"
     )
@@ -192,7 +192,7 @@ FRAMES = Layouts.of(
     RgbdScene,
     LayoutRow(
         title="rgbd", kind=RgbdScene,
-        wants="`color.*`, `depth.*`, or the latter alone for `refine-kinect`; where known `depth_true.*`, "
+        about="`color.*`, `depth.*`, or the latter alone for `refine-kinect`; where known `depth_true.*`, "
         "`mask_<name>.*` (255 = evaluate), `sparse.*` (a second depth map, known at some pixels) with "
         "`sparse_confidence.*`, `meta.json` (`depth_scale`: codes a meter, 1000 unless said; `intrinsics`: fx, fy, "
         "cx, cy; `fb`: focal length x baseline, pixels x meters; `pose`: 4 x 4, from the camera to the world, meters; "
@@ -202,7 +202,7 @@ FRAMES = Layouts.of(
     ),
     LayoutRow(
         title="rgb-ir", kind=RgbIrScene,
-        wants="as `rgbd`, with `ir.*` (8 or 16 bit) and `calib.json` or OpenCV's `calib.yml` (M1 D1 M2 D2 R T); "
+        about="as `rgbd`, with `ir.*` (8 or 16 bit) and `calib.json` or OpenCV's `calib.yml` (M1 D1 M2 D2 R T); "
         "calib.json has `color`, `infrared` (K, distortion, size), R and t, or `rectified`: true and `fb` (focal "
         "length x baseline, pixels x meters); where known `ir_noprojector.*`",
         files=({**_RGBD_FILES, "infrared": "ir.*", "infrared_plain": "ir_noprojector.*",
@@ -213,7 +213,7 @@ FRAMES = Layouts.of(
     ),
     LayoutRow(
         title="rgbd-sequence", kind=RgbdScene, after=_with_poses,
-        wants="`color_00000.*` and `depth_00000.*`, or `color/` and `depth/` with numbered files; `meta.json` as "
+        about="`color_00000.*` and `depth_00000.*`, or `color/` and `depth/` with numbered files; `meta.json` as "
         "`rgbd`; where known `poses.txt`",
         files=({"color": "color/{_}{number}.*", "depth": "depth/{_}{number}.*", **_NUMBERED},
                {"color": "color_{number}.*", "depth": "depth_{number}.*", **_NUMBERED}),
@@ -221,7 +221,7 @@ FRAMES = Layouts.of(
     ),
     LayoutRow(
         title="rgb-depth", kind=RgbdScene, needs=("rgb", "depth"), without=("associations.txt", "rgb.txt"),
-        wants="`rgb/NAME.*` and `depth/NAME.*` (also `rgb/NAME_rgb.*` or `rgb/rgb_NAME.*` and so on); where known "
+        about="`rgb/NAME.*` and `depth/NAME.*` (also `rgb/NAME_rgb.*` or `rgb/rgb_NAME.*` and so on); where known "
         "`depth_true/NAME.*`, `mask_transparent/NAME.*`, and `meta.json` of all frames as `rgbd`",
         files=tuple(
             {"color": f"rgb/{color}.*", "depth": f"depth/{depth}.*", "depth_true": "depth_true/{name}.*",
@@ -234,13 +234,13 @@ FRAMES = Layouts.of(
     ),
     LayoutRow(
         title="scannet", kind=RgbdScene, after=_with_cameras, needs=("intrinsic*",),
-        wants="`color/0.jpg`, `depth/0.png` (millimeters), `intrinsic/intrinsic_color.txt`, "
+        about="`color/0.jpg`, `depth/0.png` (millimeters), `intrinsic/intrinsic_color.txt`, "
         "`intrinsic/intrinsic_depth.txt`",
         files=({"color": "color/{number}.*", "depth": "depth/{number}.*", **_NUMBERED},), facts=_numbered, either=True,
     ),
     LayoutRow(
         title="kinect-raw", kind=RgbdScene, after=_with_poses,
-        wants="`color.*` and `disparity*.*`, or `color_0000.*` and `disparity_0000.*`; `calib.json` with "
+        about="`color.*` and `disparity*.*`, or `color_0000.*` and `disparity_0000.*`; `calib.json` with "
         "`dc_beta.npy` after Herrera et al., else a typical calibration",
         files=({"color": "color.*", "depth": "disparity{_}.*", "depth_true": "depth_true.*", "masks": "mask_{mask}.*",
                 "calibration": "calib.json"},
@@ -251,13 +251,13 @@ FRAMES = Layouts.of(
     ),
     _Sun(
         title="sun-rgbd", kind=RgbdScene,
-        wants="`image/`, `depth/` and `intrinsics.txt`; with `--layout sun-rgbd` also `color.*`, `depth.*`",
+        about="`image/`, `depth/` and `intrinsics.txt`; with `--layout sun-rgbd` also `color.*`, `depth.*`",
         files=({"color": "image/{_}.*", "depth": "depth/{_}.*"}, {"color": "color.*", "depth": "depth.*"}),
         facts=_sun,
     ),
     LayoutRow(
         title="cleargrasp", kind=RgbdScene, protocol="depth", needs=("mask_transparent.png",),
-        wants="`rgb_transparent.*`, `depth_sensor_mm.png`, `depth_opaque_gt_mm.png`, or `rgb.*`, `depth_gt_mm.png`; "
+        about="`rgb_transparent.*`, `depth_sensor_mm.png`, `depth_opaque_gt_mm.png`, or `rgb.*`, `depth_gt_mm.png`; "
         "`mask_transparent.png`",
         files=({"color": "rgb_transparent.*", "depth": "depth_sensor_mm.png", "depth_true": "depth_opaque_gt_mm.png",
                 "mask.transparent": "mask_transparent.png"},

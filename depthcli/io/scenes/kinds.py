@@ -288,11 +288,11 @@ def distortion_map(calibration: Path) -> Path | None:
     return beta if beta.is_file() else None
 
 
-def check_same_size(file: Path, shape: Sequence[int], other: Path, wanted: Sequence[int], why: str = "") -> None:
+def check_same_size(file: Path, shape: Sequence[int], other: Path, size: Sequence[int], why: str = "") -> None:
     """Raise InputError if the (height, width) of ``file`` differs from ``other``."""
-    if tuple(shape[:2]) != tuple(wanted[:2]):
-        have, want = (f"{size[1]} x {size[0]}" for size in (shape, wanted))
-        raise InputError(f"{file}: {have}, but {other.name} is {want}{why}")
+    if tuple(shape[:2]) != tuple(size[:2]):
+        found, expected = (f"{side[1]} x {side[0]}" for side in (shape, size))
+        raise InputError(f"{file}: {found}, but {other.name} is {expected}{why}")
 
 
 def read_masks(files: Mapping[str, Path], like: Path, shape: Sequence[int]) -> dict[str, NDArray[np.bool_]]:

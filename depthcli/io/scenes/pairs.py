@@ -204,7 +204,7 @@ PAIRS = Layouts.of(
     StereoScene,
     LayoutRow(
         title="scenes",
-        wants="`left.*`, `right.*`; where known `disp_left.*`, `disp_right.*`, `mask_<name>.*` (255 = evaluate), "
+        about="`left.*`, `right.*`; where known `disp_left.*`, `disp_right.*`, `mask_<name>.*` (255 = evaluate), "
         "`calib.txt` (as `middlebury-v3`), `meta.json` (`max_disparity`, `min_disparity`, `disp_scale`, `protocol`)",
         files=({"left": "left.*", "right": "right.*", "disparity_left": "disp_left.*", "masks": "mask_{mask}.*",
                 "disparity_right": "disp_right.*", "disparity_noc": "disp_left_noc.*", "objects": "objects.*",
@@ -213,7 +213,7 @@ PAIRS = Layouts.of(
     ),
     LayoutRow(
         title="views",
-        wants="`left/NAME.*`, `right/NAME.*` (also `image_left`, `camera_left`, `cam0`, `cam0/data`, or "
+        about="`left/NAME.*`, `right/NAME.*` (also `image_left`, `camera_left`, `cam0`, `cam0/data`, or "
         "`left/NAME_L.*`, `right/NAME_R.*`); where known `disp_left/NAME.*`, and `calib.txt`, `meta.json` of all pairs",
         files=_variants(
             {"left": "<0>.*", "right": "<1>.*", "disparity_left": "disp_left/{name}.*", "calibration": "calib.txt",
@@ -228,7 +228,7 @@ PAIRS = Layouts.of(
     ),
     LayoutRow(
         title="pairs",
-        wants="`NAME_L.*`/`NAME_R.*`, `NAME_left.*`/`NAME_right.*` or `left_NAME.*`/`right_NAME.*`; where known "
+        about="`NAME_L.*`/`NAME_R.*`, `NAME_left.*`/`NAME_right.*` or `left_NAME.*`/`right_NAME.*`; where known "
         "`calib.txt` and `meta.json` of all pairs",
         files=_variants(
             {"left": "<0>{name}<2>.*", "right": "<1>{name}<3>.*", "calibration": "calib.txt", "name": "{name}"},
@@ -239,7 +239,7 @@ PAIRS = Layouts.of(
     ),
     LayoutRow(
         title="middlebury-v2", protocol="middlebury_v2",
-        wants="`im2`/`im6`, `imL`/`imR` or `view1`/`view5` with `disp2`/`disp6`, `groundtruth` or `disp1`/`disp5`, and "
+        about="`im2`/`im6`, `imL`/`imR` or `view1`/`view5` with `disp2`/`disp6`, `groundtruth` or `disp1`/`disp5`, and "
         "`nonocc`, `all`, `disc` where there are masks; the 2001, 2003, 2005 and 2006 sets",
         files=_variants(
             {"left": "<0>.*", "right": "<1>.*", "disparity_left": "<2>", "disparity_right": "<3>",
@@ -251,32 +251,32 @@ PAIRS = Layouts.of(
     ),
     LayoutRow(
         title="middlebury-v3", protocol="middlebury_v3",
-        wants="`im0`, `im1`, `calib.txt`, `disp0GT.pfm`, `mask0nocc.png`; of the sets of 2014 and 2021 `disp0.pfm`, "
+        about="`im0`, `im1`, `calib.txt`, `disp0GT.pfm`, `mask0nocc.png`; of the sets of 2014 and 2021 `disp0.pfm`, "
         "`disp1.pfm`, by which pixels hidden in the right view are found",
         files=(_V3_FILES,), without=("cameras.txt",), facts=_middlebury_v3,
     ),
     _Eth3d(
         title="eth3d", protocol="eth3d",
-        wants="as `middlebury-v3`, with `cameras.txt`, `images.txt`; the truth in the scene's folder or in one of the "
-        "same name in `two_view_training_gt` beside `two_view_training`",
+        about="as `middlebury-v3`, with `cameras.txt`, `images.txt`; the truth in the scene's folder or in one of the "
+        "same name in `two_view_training_gt`, next to `two_view_training`",
         files=(_V3_FILES,), needs=("cameras.txt", "images.txt"), facts=_middlebury_v3,
     ),
     LayoutRow(
         title="kitti-2012", protocol="kitti_2012", values=_KITTI_VALUES, single=True,
-        wants="`colored_0`/`colored_1` or `image_0`/`image_1`, `disp_noc`, `disp_occ`, `calib`",
+        about="`colored_0`/`colored_1` or `image_0`/`image_1`, `disp_noc`, `disp_occ`, `calib`",
         files=_variants(_KITTI_FILES, ("colored_0", "colored_1"), ("image_0", "image_1")),
         facts=lambda found: {"cameras": (0, 1)} if found.files["left"].parent.name == "image_0" else {},
     ),
     LayoutRow(
         title="kitti-2015", protocol="kitti_2015", values=_KITTI_VALUES, single=True,
-        wants="`image_2`, `image_3`, `disp_noc_0`, `disp_occ_0`, `obj_map`, `calib_cam_to_cam`",
+        about="`image_2`, `image_3`, `disp_noc_0`, `disp_occ_0`, `obj_map`, `calib_cam_to_cam`",
         files=({"left": "image_2/{frame}_10.png", "right": "image_3/{frame}_10.png", "name": "{frame}_10",
                 "disparity_left": "disp_occ_0/{frame}_10.png", "disparity_noc": "disp_noc_0/{frame}_10.png",
                 "objects": "obj_map/{frame}_10.png", "calibration": "calib_cam_to_cam/{frame}.txt"},),
     ),
     LayoutRow(
         title="kitti-odometry", protocol="kitti_2015", either=True,
-        wants="`image_2`, `image_3` or `image_0`, `image_1` with `000000.png`; `calib.txt`",
+        about="`image_2`, `image_3` or `image_0`, `image_1` with `000000.png`; `calib.txt`",
         files=_variants({"left": "<0>/{number}.png", "right": "<1>/{number}.png", "calibration": "calib.txt",
                          "name": "{number}"}, ("image_2", "image_3"), ("image_0", "image_1")),
         values={"max_disparity": _KITTI_RANGE},
@@ -284,7 +284,7 @@ PAIRS = Layouts.of(
     ),
     LayoutRow(
         title="kitti-raw", protocol="kitti_2015", either=True, values={"max_disparity": _KITTI_RANGE},
-        wants="`image_02/data/0000000000.png`, `image_03/data` or `image_00`, `image_01` of a `..._sync` drive; "
+        about="`image_02/data/0000000000.png`, `image_03/data` or `image_00`, `image_01` of a `..._sync` drive; "
         "`calib_cam_to_cam.txt` in it or in the folder of its day",
         files=_variants({"left": "<0>/data/{number}.png", "right": "<1>/data/{number}.png", "name": "<0>/{number}",
                          "calibration": "calib_cam_to_cam.txt|../calib_cam_to_cam.txt"},
@@ -293,7 +293,7 @@ PAIRS = Layouts.of(
     ),
     LayoutRow(
         title="tartanair", protocol="scene_flow", needs=("image_left", "image_right"),
-        wants="`image_left/000000_left.png`, `image_right/000000_right.png`, `depth_left/000000_left_depth.npy`: a "
+        about="`image_left/000000_left.png`, `image_right/000000_right.png`, `depth_left/000000_left_depth.npy`: a "
         "folder such as `P001`",
         files=({"left": "image_left/{frame}_left.png", "right": "image_right/{frame}_right.png", "name": "{frame}",
                 "disparity_left": "depth_left/{frame}_left_depth.npy"},),
@@ -301,13 +301,13 @@ PAIRS = Layouts.of(
     ),
     LayoutRow(
         title="falling-things", protocol="scene_flow", needs=(_FALLING_THINGS,), facts=_falling_things,
-        wants="`000000.left.jpg`, `000000.right.jpg`, `000000.left.depth.png`, `_camera_settings.json`",
+        about="`000000.left.jpg`, `000000.right.jpg`, `000000.left.depth.png`, `_camera_settings.json`",
         files=({"left": "{frame}.left.jpg", "right": "{frame}.right.jpg", "name": "{frame}",
                 "disparity_left": "{frame}.left.depth.png"},),
     ),
     LayoutRow(  # its development kit (argoverse-api) divides the codes of 16-bit PNGs by 256, too; 0 is unknown
         title="argoverse-stereo", protocol="kitti_2015", values=_KITTI_VALUES,
-        wants="`rectified_stereo_images_v1.1/**/stereo_front_left_rect/stereo_front_left_rect_TIME.jpg`, "
+        about="`rectified_stereo_images_v1.1/**/stereo_front_left_rect/stereo_front_left_rect_TIME.jpg`, "
         "`stereo_front_right_rect`, `disparity_maps_v1.1/**/stereo_front_left_rect_disparity` (Argoverse 1)",
         files=({"left": _ARGOVERSE.format("left"), "right": _ARGOVERSE.format("right"), "name": "{path_}{frame}",
                 "disparity_left": "disparity_maps_v1.1/{path}/stereo_front_left_rect_disparity/"
@@ -316,7 +316,7 @@ PAIRS = Layouts.of(
     LayoutRow(
         title="sceneflow", protocol="scene_flow",
         values={"max_disparity": _SCENE_FLOW_RANGE, "decode": _decode_scene_flow},
-        wants="`frames_cleanpass/**/left/0006.png`, `right/0006.png`, `disparity/**/left/0006.pfm` (FlyingThings3D, "
+        about="`frames_cleanpass/**/left/0006.png`, `right/0006.png`, `disparity/**/left/0006.pfm` (FlyingThings3D, "
         "Driving, Monkaa; or `frames_finalpass`); of the subset `image_clean`, `disparity_occlusions`",
         files=_variants(
             {"left": "<0>/{path}/left/{frame}.png|<0>/{path}/left/{frame}.webp",
@@ -330,7 +330,7 @@ PAIRS = Layouts.of(
     ),
     LayoutRow(
         title="sintel", protocol="middlebury_v2", values={"decode": _decode_sintel},
-        wants="`clean_left/SEQUENCE/frame_0001.png`, `clean_right` (or `final_left`, `final_right`), `disparities`, "
+        about="`clean_left/SEQUENCE/frame_0001.png`, `clean_right` (or `final_left`, `final_right`), `disparities`, "
         "`occlusions`, `outofframe`: the folder `training` of MPI Sintel's stereo data",
         files=_variants(
             {"left": "<0>_left/{path}/{frame}.png", "right": "<0>_right/{path}/{frame}.png",
@@ -340,7 +340,7 @@ PAIRS = Layouts.of(
     ),
     LayoutRow(
         title="booster", protocol="booster", values={"decode": _decode_booster}, facts=_booster,
-        wants="`camera_00/im0.png`, `camera_02/im0.png`, `disp_00.npy`, `disp_02.npy`, `mask_00.png`, `mask_cat.png`, "
+        about="`camera_00/im0.png`, `camera_02/im0.png`, `disp_00.npy`, `disp_02.npy`, `mask_00.png`, `mask_cat.png`, "
         "`calib_00-02.xml`: a folder of the balanced split",
         needs=("camera_0[12]",),
         files=({"left": "camera_00/{image}.png", "right": "camera_02/{image}.png", "disparity_left": "disp_00.npy",
@@ -350,7 +350,7 @@ PAIRS = Layouts.of(
     LayoutRow(
         title="crestereo", protocol="middlebury_v2", values={"disparity_scale": 32.0},
         facts=lambda found: {} if "disparity_left" in found.files else None,
-        wants="`NAME_left.jpg`, `NAME_right.jpg`, `NAME_left.disp.png`, `NAME_right.disp.png` (codes / 32)",
+        about="`NAME_left.jpg`, `NAME_right.jpg`, `NAME_left.disp.png`, `NAME_right.disp.png` (codes / 32)",
         needs=("*_left.disp.png",),
         files=({"left": "{name}_left.jpg|{name}_left.png", "right": "{name}_right.jpg|{name}_right.png",
                 "disparity_left": "{name}_left.disp.png", "disparity_right": "{name}_right.disp.png",
@@ -358,13 +358,13 @@ PAIRS = Layouts.of(
     ),
     LayoutRow(
         title="instereo2k", protocol="middlebury_v2", values={"disparity_scale": 100.0}, needs=("left_disp.png",),
-        wants="`left.png`, `right.png`, `left_disp.png`, `right_disp.png` (codes / 100)",
+        about="`left.png`, `right.png`, `left_disp.png`, `right_disp.png` (codes / 100)",
         files=({"left": "left.*", "right": "right.*", "disparity_left": "left_disp.png",
                 "disparity_right": "right_disp.png"},),
     ),
     LayoutRow(
         title="driving-stereo", protocol="kitti_2015", values={"cameras": (101, 103)}, facts=_driving_stereo,
-        wants="`train-left-image`, `train-right-image`, `train-disparity-map` (or `test-...`, or "
+        about="`train-left-image`, `train-right-image`, `train-disparity-map` (or `test-...`, or "
         "`left-image-half-size`, `left-image-full-size` ... of a weather), "
         "`calib_train/half-image-calib/SEQUENCE.txt`",
         files=({"left": "{split}-left-image/{path}/{frame}.*", "right": "{split}-right-image/{path}/{frame}.*",

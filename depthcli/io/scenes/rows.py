@@ -181,7 +181,7 @@ class Layout(ABC):
     """A folder structure: a row of a table, or a class that looks for the files itself."""
 
     kind: type[Scene]
-    wants: str
+    about: str
     """The files of a scene, in one line for messages and the manual."""
     protocol: str = ""
     """Default evaluation protocol of its scenes."""
@@ -257,7 +257,7 @@ class LayoutRow(Layout):
     """
 
     title: str  # name on the command line
-    wants: str  # the files of a scene, in one line for messages and the manual
+    about: str  # the files of a scene, in one line for messages and the manual
     files: tuple[Mapping[str, str], ...] = ()
     kind: type[Scene] = StereoScene
     protocol: str = ""
@@ -544,7 +544,7 @@ def rows_in_file(path: Path) -> tuple[LayoutRow, ...]:
         files["name"] = files["name"].replace("{path}_", "{path_}")
         rows.append(
             LayoutRow(
-                title=str(title), wants=f"the files of {path.name}", kind=kind, files=(files,),
+                title=str(title), about=f"the files of {path.name}", kind=kind, files=(files,),
                 protocol=values.pop("protocol"), values=values,
             )
         )  # fmt: skip

@@ -27,7 +27,7 @@ class Registration(Layout):
     name = "registration"
     kind = VolumePairScene
     protocol = "registration"
-    wants = (
+    about = (
         "`fixed.*` and `moving_warped.*`, or `moving.*` with `displacement.*` or `transform.*` (NIfTI, MHA/MHD, NRRD, "
         "DIR-Lab `.img`, PNG, JPEG); where known `mask.*`, `landmarks_fixed.csv` with `landmarks_moving.csv` (x, y, z "
         "in mm), `error_true.*` (mm), `mask_<region>.*` of regions that are reported apart, or a label map of several; "

@@ -89,13 +89,13 @@ def networks_in(config: BaseModel) -> list[Network]:
     return [part for part in parts_of(config) if isinstance(part, Network)]
 
 
-def network_device(wanted: str) -> str:
+def network_device(name: str) -> str:
     """Return the networks' device, ``cpu`` or ``cuda:N``, from ``--device``. Raise ConfigError for other kinds."""
-    if wanted == "auto":
+    if name == "auto":
         return "cuda:0" if _CUDA in _onnxruntime().get_available_providers() else "cpu"
-    kind, _, number = wanted.partition(":")
-    if wanted != "cpu" and (kind != "cuda" or not (number.isdigit() or wanted == kind)):
-        raise ConfigError(f"--device {wanted}: networks run on cpu, cuda or cuda:N; auto takes cuda if it is there")
+    kind, _, number = name.partition(":")
+    if name != "cpu" and (kind != "cuda" or not (number.isdigit() or name == kind)):
+        raise ConfigError(f"--device {name}: networks run on cpu, cuda or cuda:N; auto takes cuda if it is there")
     return f"cuda:{number or 0}" if kind == "cuda" else "cpu"
 
 

@@ -11,7 +11,7 @@ class TwoFiles(Layout):
     """One folder a pair; ``first_truth.*`` holds its true disparities."""
 
     kind = StereoScene
-    wants = "`first.*`, `second.*`, `first_truth.*`"
+    about = "`first.*`, `second.*`, `first_truth.*`"
     protocol = "eighth-pixel"
 
     def scenes(self, folder: Folder) -> list[Scene]:
