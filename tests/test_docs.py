@@ -5,7 +5,6 @@ import json
 import os
 import re
 import runpy
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -145,19 +144,6 @@ def test_a_sheet_has_the_means_and_each_item():
         '2005 B,"x, y",2.00,0.25',
     ]
     assert thesis["sheet"]({"A": {"x": {"ms": 3.0}}}, ["scene", "name"], 1) == "scene,name,ms\nA,x,3.0\n"
-
-
-def test_check_compares_the_sheets_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
-    main = runpy.run_path(str(ROOT / "scripts" / "thesis"))["main"]
-    shutil.copytree(DOCS / "static" / "thesis", tmp_path / "thesis")
-    monkeypatch.setitem(main.__globals__, "FOLDER", tmp_path / "thesis")
-    (tmp_path / "data").mkdir()
-    monkeypatch.setattr("sys.argv", ["thesis", str(tmp_path / "data"), "--chapter", "4", "--check"])
-    assert main() == 0, capsys.readouterr().out
-    sheet = tmp_path / "thesis" / "kinect.csv"
-    sheet.write_text(sheet.read_text("utf-8").replace("mean,accurate,", "mean,accurate,9"), "utf-8")
-    assert main() == 1
-    assert "kinect.csv" in capsys.readouterr().out
 
 
 def test_the_config_keys_on_the_page_of_the_thesis_exist():
