@@ -36,7 +36,7 @@ def test_pooled_is_that_of_all_pixels_together():
 
 def test_hidden_pixels_by_hand():
     found = HiddenPixels.of(np.array([1, 1, 1, 0, 0], bool), np.array([1, 0, 0, 1, 0], bool))
-    assert found == HiddenPixels(both=1, said=3, true=2, pixels=5)
+    assert found == HiddenPixels(both=1, marked=3, true=2, pixels=5)
     shares = found.shares()
     expected = {"precision": 33.33, "recall": 50, "F1": 40, "said": 60, "true": 40}
     assert {name: round(shares[name], 2) for name in expected} == expected
