@@ -40,7 +40,7 @@ def test_hidden_pixels_by_hand():
     shares = found.shares()
     expected = {"precision": 33.33, "recall": 50, "F1": 40, "said": 60, "true": 40}
     assert {name: round(shares[name], 2) for name in expected} == expected
-    assert HiddenPixels.pooled([found, found]).said == 6
+    assert HiddenPixels.pooled([found, found]).marked == 6
     assert math.isnan(HiddenPixels(0, 0, 0, 4).shares()["precision"])
 
 
