@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from depthcli.io.formats.disparity import read_plane
+from depthcli.kernels.cache import cache_folder
 
 TESTS = Path(__file__).resolve().parent
 MEASURED = ("seconds", "peak_memory", "version")
@@ -52,7 +53,8 @@ def renew() -> None:
 def told(text: str) -> str:
     """Note a message, or what a command wrote, for the comparison at the end of the test; return it.
 
-    Folders of the test and of the checkout, and measured times, are left out of the comparison.
+    Folders of the test, of the checkout and of kernels, measured times, and the lines that a slow run prints after
+    a while, are left out of the comparison.
     """
     test = os.environ["PYTEST_CURRENT_TEST"].rpartition(" (")[0]
     given.setdefault(test, []).extend(line.rstrip() for line in (_plain(text).strip() or "(nothing)").splitlines())
@@ -60,9 +62,11 @@ def told(text: str) -> str:
 
 
 def _plain(text: str) -> str:
-    for folder in (str(temporary), str(Path(tempfile.gettempdir(), "tmp"))):
-        text = re.sub(re.escape(folder) + r"(/?[^/\s:',\"`]+)?", "TMP", text)
-    text = text.replace(str(TESTS.parent), "ROOT")
+    for place in (temporary, Path(tempfile.gettempdir(), "tmp")):
+        text = re.sub(re.escape(str(place)) + r"(/?[^/\s:',\"`]+)?", "TMP", text)
+    for folder, name in ((cache_folder(), "KERNELS"), (TESTS.parent, "ROOT")):
+        text = text if folder is None else text.replace(str(folder), name)
+    text = re.sub(r"^[\w-]+: \d+ of \d+ scenes(, \d+ failed)?\n", "", text, flags=re.M)
     text = re.sub(r"^(Traceback .*\n)(?:[ ~^].*\n)+", r"\1", text, flags=re.M)  # its lines change with the code
     return re.sub(r"\b\d+(\.\d+)? (s|min|ms)\b", r"N \2", text)
 
