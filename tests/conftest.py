@@ -32,8 +32,9 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
     """Compare what the test was told with ``tests/messages.txt``."""
     golden.temporary = item.config._tmp_path_factory.getbasetemp()  # type: ignore[attr-defined]
     result = yield
+    golden.given.setdefault(item.nodeid, [])
     if not item.config.getoption("renew"):
-        told, kept = golden.given.get(item.nodeid, []), item.session.stash[MESSAGES].get(item.nodeid, [])
+        told, kept = golden.given[item.nodeid], item.session.stash[MESSAGES].get(item.nodeid, [])
         assert told == kept, "look at the words; with --renew, pytest keeps them in tests/messages.txt"
     return result
 

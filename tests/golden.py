@@ -53,8 +53,8 @@ def renew() -> None:
 def told(text: str) -> str:
     """Note a message, or what a command wrote, for the comparison at the end of the test; return it.
 
-    Folders of the test, of the checkout and of kernels, measured times, and the lines that a slow run prints after
-    a while, are left out of the comparison.
+    Folders of the test, of the checkout and of kernels, measured times, and lines that depend on the machine (of
+    kernels that are compiled, of the progress of a slow run) are left out of the comparison.
     """
     test = os.environ["PYTEST_CURRENT_TEST"].rpartition(" (")[0]
     given.setdefault(test, []).extend(line.rstrip() for line in (_plain(text).strip() or "(nothing)").splitlines())
@@ -66,7 +66,8 @@ def _plain(text: str) -> str:
         text = re.sub(re.escape(str(place)) + r"(/?[^/\s:',\"`]+)?", "TMP", text)
     for folder, name in ((cache_folder(), "KERNELS"), (TESTS.parent, "ROOT")):
         text = text if folder is None else text.replace(str(folder), name)
-    text = re.sub(r"^[\w-]+: \d+ of \d+ scenes(, \d+ failed)?\n", "", text, flags=re.M)
+    progress = r"[\w-]+: \d+ of \d+ scenes(, \d+ failed)?|(first use of these settings|compiled \d+ kernels) .*"
+    text = re.sub(rf"^({progress})\n", "", text, flags=re.M)
     text = re.sub(r"^(Traceback .*\n)(?:[ ~^].*\n)+", r"\1", text, flags=re.M)  # its lines change with the code
     return re.sub(r"\b\d+(\.\d+)? (s|min|ms)\b", r"N \2", text)
 

@@ -174,7 +174,7 @@ def test_tum_pairs_by_time(tmp_path: Path):
     (tmp_path / "t" / "depth.txt").write_text("1.019 depth/a.png\n")
     near, far = find(tmp_path)
     assert load(near).depth[1, 0] == pytest.approx(0.4)  # 5000 codes a meter
-    refused(InputError, load, far)
+    assert "0.021 s off" in refused(InputError, load, far)
     for line in ("2.0 rgb/2.png 2.001 depth/a.png\n", "2.001 depth/a.png 2.0 rgb/2.png\n"):
         (tmp_path / "t" / "associations.txt").write_text(line)
         assert [(i.name, i.problem) for i in find(tmp_path)] == [("t/2.000000", "")]

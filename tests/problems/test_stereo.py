@@ -97,12 +97,16 @@ def test_overrides_are_those_of_set(pair: Images):
         {"preset": "acurate"},
         {"tilez": "never"},
         {"overrides": {"cost.": 1}},
-        {"device": "cuda:99"},
     ],
 )
 def test_wrong_configs_are_refused(pair: Images, arguments: dict[str, object]):
     with saying(depthcli.ConfigError):
         depthcli.stereo(*pair, **{"max_disparity": 12, **arguments})  # type: ignore[arg-type]
+
+
+def test_a_device_that_is_not_here_is_refused(pair: Images):
+    with pytest.raises(depthcli.ConfigError, match=r"^device cuda:99: "):
+        depthcli.stereo(*pair, 12, device="cuda:99")
 
 
 @pytest.mark.parametrize(

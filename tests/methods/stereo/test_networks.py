@@ -155,7 +155,7 @@ def test_values_that_networks_take():
         image = samples(wide, view, n)
         assert (image == 255).all() and image.shape == (4, 4, n)
     assert padded(np.zeros((5, 7, 1), np.float32), 4, margin=1).shape == (8, 12, 1)
-    with saying(ValueError):
+    with pytest.raises(ValueError, match="deviations are above 0"):
         MeanDeviation(mean=(0.5,), deviation=(0.0,))
 
 
