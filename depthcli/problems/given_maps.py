@@ -33,7 +33,7 @@ from depthcli.evaluation.map_files import (
     recognized,
 )
 from depthcli.io.formats.disparity import check_sign, read_foreign_map, read_plane, read_status, scale_of
-from depthcli.io.formats.files import RECORD_FILE, collected_warnings
+from depthcli.io.formats.files import collected_warnings, is_of_a_run
 from depthcli.io.formats.images import png_bytes, read_image, write_drawn
 from depthcli.io.formats.networks import network_path, read_errors, read_network
 from depthcli.io.scenes import GivenMap, MapsScene, Scene, StereoScene, check_same_size
@@ -515,7 +515,7 @@ class _GivenRun:
         if path is None:
             return None
         status = path.parent / "status.png"
-        is_own = status.is_file() and (path.parent / RECORD_FILE).is_file()  # other programs write no record
+        is_own = status.is_file() and is_of_a_run(path)  # other programs write no record
         scale = scale_of(path, self.naming.scale, self.naming.any_scale)
         return GivenMap(self.name, path, scale, self.naming.invalid, status if is_own else None)
 

@@ -333,11 +333,12 @@ def wide_by_scene(section: Section, key: Key) -> Table:
     places = [s for s in section.scenes if any(key in section.scores[run, s] for run in section.runs)]
     columns = [(short(scene), scene, key) for scene in places]
     if len(section.scenes) > 1:
-        heading = section.protocol.presentation.mean_heading
+        heading, known = section.protocol.presentation.mean_heading, section.known[region]
         for place in section.places:
-            if place == MEAN or section.common:
-                counts, kind = section.counts(section.runs[0], region), " common" * (place == COMMON_MEAN)
-                columns.append((f"{heading} of {counts['common' if kind else 'scenes']}{kind}", place, key))
+            if place == COMMON_MEAN and section.common:
+                columns.append((f"{heading} of {len(known & section.common)} common", place, key))
+            elif place == MEAN:
+                columns.append((f"{heading} of {len(known)}", place, key))
     ranked = len(section.scenes) > 1 and metric == section.protocol.headline and len(section.runs) > 1
     title = f"{section.data_set}: {metric.heading_with_unit}, {region}"
     return _wide(section, title, f"scenes-{region}", columns, ranked)

@@ -82,7 +82,7 @@ class ExpectedErrorFiles(MapFiles):
         return {} if file is None else {"confidence": file}
 
     def companion(self, path: Path, name: str) -> Path | None:
-        """Return the volume ``bound`` or ``probability`` in the folder of ``expected_error``, or None."""
+        """Return the volume ``name``, such as ``bound``, in the folder of ``expected_error``, or None."""
         file = path.with_name(path.name.replace("expected_error", name, 1))
         return file if file != path and file.is_file() else None
 

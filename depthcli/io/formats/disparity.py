@@ -139,7 +139,7 @@ class ScaleError(InputError):
     """Raised for unsigned 16-bit disparities of unknown scale, which may be KITTI's, OpenCV's or others."""
 
 
-def has_kitti_scale(path: Path | str) -> bool:
+def _has_kitti_scale(path: Path | str) -> bool:
     """Return whether a map is of a run of this program, or in a folder for KITTI's server."""
     return is_of_a_run(path) or Path(path).parent.name in _KITTI_FOLDERS
 
@@ -158,10 +158,10 @@ def read_foreign_map(
 ) -> NDArray[np.float32]:
     """Return a disparity map of any program as :func:`read_disparity` does; all commands read maps with this function.
 
-    If ``invalid`` is None, :func:`without_constants` is applied; NaN keeps all values. Unsigned 16-bit
-    codes have KITTI's scale if ``is_kitti``, in a run, and in a folder for KITTI's server; otherwise ``asks`` is set.
+    If ``invalid`` is None, :func:`without_constants` is applied; NaN keeps all values. Unsigned 16-bit codes have
+    KITTI's scale if ``is_kitti``; otherwise ``asks`` is set.
     """
-    disparity = read_disparity(path, scale, scale_8bit, invalid, not (is_kitti or has_kitti_scale(path)))
+    disparity = read_disparity(path, scale, scale_8bit, invalid, not is_kitti)
     return without_constants(path, disparity) if invalid is None else disparity
 
 
@@ -186,8 +186,9 @@ def read_disparity(
 
     PFM, float npy and float TIFF are in pixels, unless ``scale`` is given. Integer codes (PNG, PGM, integer npy) are
     divided by ``scale``, codes per pixel. Its default is 256 for unsigned 16-bit codes (KITTI); if ``asks``, they must
-    be too large for OpenCV's scale (else ScaleError), and a warning follows. It is 16 for signed ones (OpenCV), with a
-    warning, and ``scale_8bit`` for 8-bit codes. Raise InputError for other integers without a scale.
+    be of a run, in a folder for KITTI's server or, with a warning, too large for OpenCV's scale (else ScaleError). It
+    is 16 for signed ones (OpenCV), with a warning, and ``scale_8bit`` for 8-bit codes. Raise InputError for other
+    integers without a scale.
     :func:`without_value` defines which stored numbers are unknown.
     """
     values = read_plane(path)
@@ -195,7 +196,12 @@ def read_disparity(
         raise InputError(f"{shown(path)}: true or false, expected disparities")
     codes, kind, name = values.dtype.kind in "iu", values.dtype.str[1:], shown(path)
     if scale is None and codes:
-        if kind == "u2" and asks and (top := int(values.max(initial=0, where=values < _NEGATIVE))):
+        if (
+            kind == "u2"
+            and asks
+            and not _has_kitti_scale(path)
+            and (top := int(values.max(initial=0, where=values < _NEGATIVE)))
+        ):
             if top > OPENCV_SCALE * values.shape[1]:  # with 16 codes per pixel, wider than the image
                 warn(f"{name}: uint16 disparities are divided by 256, as KITTI's; --scale gives another {_OF_TRUTH}")
             else:

@@ -1,7 +1,7 @@
 """Scenes, the units that a command works on: names of files that belong together, and metadata.
 
-Nothing is loaded here, except that ``input_files`` looks into headers for further files. ``stereo_pairs``,
-``rgbd_frames`` and ``volume_pairs`` load the files.
+Of the files only masks are loaded here; ``input_files`` looks into headers for further files. ``stereo_pairs``,
+``rgbd_frames`` and ``volume_pairs`` load the others.
 """
 
 from __future__ import annotations

@@ -425,7 +425,8 @@ def named_pairs(values: Mapping[str, Any]) -> list[Scene]:
     if left.suffix.lower() not in VIDEO_SUFFIXES:
         return [one]
     try:
-        (count, rate), (other, other_rate) = frames_and_rate(left), frames_and_rate(right)
+        count, rate = frames_and_rate(left)
+        other, other_rate = (count, rate) if halves else frames_and_rate(right)
     except InputError as error:
         raise ConfigError(str(error)) from None
     if rate and other_rate and abs(rate / other_rate - 1) > _MAX_RATE_DIFFERENCE:
@@ -522,8 +523,8 @@ def pairs_of_patterns(left: Path, right: Path) -> list[StereoScene]:
         absent = "right" if name not in rights else "left" if name not in lefts else ""
         problem = f"{file}: no {absent} image belongs to it" if absent else ""
         scenes[name] = StereoScene(name=name, folder=file.parent, left=file, right=rights.get(name), problem=problem)
-    views = {name: {"left": lefts.get(name), "right": rights.get(name)} for name in scenes}
-    there = {name: {role: file for role, file in of.items() if file is not None} for name, of in views.items()}
+    views = {"left": lefts, "right": rights}
+    there = {name: {role: files[name] for role, files in views.items() if name in files} for name in scenes}
     for name, line in dropped(("left", "right"), there).items():
         scenes[name] = replace(scenes[name], warnings=(line,))
     return list(scenes.values())
