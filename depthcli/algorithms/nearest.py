@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.maps import Ints
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import helper, jit, run_bands
 
 
 def nearest_points(
@@ -58,7 +58,7 @@ def _nearest(begin, end, x, y, name, first, grid, center_x, center_y, skip_own, 
                 break
 
 
-@jit
+@helper
 def _insert(distances, nearest, count, squared, name):
     # Insert a point into the lists of the nearest points so far; return their number.
     last = distances.size - 1

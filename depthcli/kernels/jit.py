@@ -45,9 +45,10 @@ if "scipy.linalg" not in sys.modules:
     # Its import takes longer than numba's. numba's array functions need it for matrix products only, which kernels
     # therefore cannot call.
     sys.modules["scipy.linalg"] = None  # type: ignore[assignment]
-    import numba.np.arraymath
-
-    del sys.modules["scipy.linalg"]
+    try:
+        import numba.np.arraymath
+    finally:
+        del sys.modules["scipy.linalg"]
 
 from numba.np.arrayobj import _empty_nd_impl
 
@@ -86,7 +87,7 @@ class _Compiled:
 
     A kernel just compiled is loaded in the same way as from disk: with its own copies of the functions that it calls,
     optimized with it. numba would link them to the first copy in the compiling process, optimized with other code, and
-    sums of floats would differ in their last digits. numba's own cache does not do that, takes .2 s to set up, and
+    sums of floats would differ in their last digits. numba's own cache does not do that, takes 0.2 s to set up, and
     fails at a full disk or at damaged files, which here never make a computation fail.
     """
 

@@ -118,6 +118,20 @@ def partner_difference(disparity, x, right):
     return abs(np.float32(disparity) - np.float32(right[u])) if u >= 0 else np.float32(np.inf)
 
 
+def right_at_match(values: NDArray[np.float32], right: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the right view's disparity at the match of every pixel, (H, W) float32; inf outside the right image.
+
+    Parameters
+    ----------
+    values : (H, W) disparities of the left view, pixels, at least 0, no NaN
+    right : (H, W) disparities of the right view, pixels
+    """
+    column = np.arange(values.shape[1]) - np.rint(values).astype(np.intp)
+    match = np.take_along_axis(right, np.maximum(column, 0), axis=1).astype(np.float32)
+    match[column < 0] = np.inf
+    return match
+
+
 def left_right_difference(left: NDArray[Any], right: NDArray[Any]) -> NDArray[np.float32]:
     """Return ``|d - d_R|`` for every pixel: the difference from the right view's disparity at its match.
 

@@ -15,6 +15,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Floats, Image8, Status
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import empty, jit, run_bands
+from depthcli.kernels.winners import right_at_match
 from depthcli.methods.fusion.choice import Choice, Proposals
 from depthcli.methods.fusion.choice.energy import LeastEnergyChoice
 from depthcli.methods.fusion.map_costs import agreement
@@ -146,8 +147,6 @@ def _complete(begin, end, maps, largest):
 
 def _status(values: Floats, right: NDArray[Any]) -> Image8:
     # Measured if the right view agrees within one pixel; otherwise filled, and hidden from it or mismatched.
-    column = np.arange(values.shape[1]) - np.rint(values).astype(np.intp)
-    match = np.take_along_axis(right, np.maximum(column, 0), axis=1).astype(np.float32)
-    seen, one = column >= 0, np.float32(1)
-    hidden = np.where(seen & (match <= values + one), Status.MISMATCH, Status.OCCLUDED) | Status.FILLED
-    return np.where(seen & (np.abs(match - values) <= one), 0, hidden).astype(np.uint8)
+    match, one = right_at_match(values, right), np.float32(1)
+    filled = np.where(match > values + one, Status.OCCLUDED, Status.MISMATCH) | Status.FILLED
+    return np.where(np.abs(match - values) <= one, 0, filled).astype(np.uint8)

@@ -112,8 +112,8 @@ def best_mix(
     """Return the mix of two maps with the least energy, or ``current`` itself if no mix is better.
 
     One minimum cut (fusion moves: Lempitsky et al., PAMI 2010). Pairs that it cannot represent cost more if exactly
-    one of the two pixels switches, so the energies are compared at the end. ``current``
-    stays if the maps differ by less than ``min_difference`` pixels (chosen by hand).
+    one of the two pixels switches, so the energies are compared at the end. ``current`` stays if the maps differ by
+    less than ``min_difference`` pixels (chosen by hand).
     """
     shape = current.values.shape
     apart = np.abs(proposal.values - current.values) >= min_difference

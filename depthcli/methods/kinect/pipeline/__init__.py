@@ -18,7 +18,7 @@ class KinectPipeline(Method):
     """Base of pipelines that refine one frame; a config selects a pipeline by the key ``pipeline``."""
 
     bytes_per_pixel: ClassVar[int] = 60
-    """Estimate of the peak working memory."""
+    """Estimate of the peak working memory per pixel, bytes."""
 
     @abstractmethod
     def __call__(self, frame: RgbdFrame) -> DepthResult:
@@ -58,6 +58,12 @@ class SequencePipeline(KinectPipeline):
     def __call__(self, frame: RgbdFrame) -> DepthResult:
         """Refine a frame that belongs to no sequence."""
         return self.step(frame, None)[0]
+
+    @staticmethod
+    def check_size(frame: RgbdFrame, previous: tuple[int, ...]) -> None:
+        """Raise ValueError unless the frame has the size (H, W) of the ``previous`` ones."""
+        if frame.shape != previous:
+            raise ValueError(f"the frame's size {frame.shape} differs from the previous frames' {previous}")
 
 
 def frame_by_frame(pipeline: KinectPipeline) -> Callable[[RgbdFrame], DepthResult]:

@@ -108,9 +108,10 @@ class Dsrm(KinectPipeline):
         values = np.where(by_core[labels] & measurement.core, measurement.disparity, measurement.reliable)
         surfaces = self.model(values, labels, measurement.noise)
         modelled |= by_core
-        owners = np.where(modelled, np.arange(n, dtype=np.int32), np.int32(-1))
         if self.join:
             owners = join_segments(labels, modelled, surfaces, measurement.lab, measurement.limit)
+        else:
+            owners = np.where(modelled, np.arange(n, dtype=np.int32), np.int32(-1))
         return Layer(owners[labels], surfaces, modelled[labels])
 
     def _in_turn(self, frame: RgbdFrame, measurement: Measurement, layers: list[Ints]) -> RefinedDisparity:

@@ -58,8 +58,7 @@ class Realsense(SequencePipeline):
         measured = measured_disparity(frame)
         if state is None:
             state = RealsenseState(np.full(frame.shape, np.nan, np.float32), np.zeros(frame.shape, np.uint8))
-        if state.last.shape != frame.shape:
-            raise ValueError(f"the frame's size {frame.shape} differs from the previous frames' {state.last.shape}")
+        self.check_size(frame, state.last.shape)
         values = measured.copy()
         for _ in range(self.magnitude):
             for lines in (values, values.T):

@@ -63,10 +63,7 @@ class Sequence(SequencePipeline, Dsrm):
         """Refine the next frame; ValueError if it has no depth, or another size than the previous frames."""
         if state is None:
             return self._start(frame)
-        if state.color.shape != frame.color.shape:
-            raise ValueError(
-                f"the frame's size {frame.shape} differs from the previous frames' {state.color.shape[:2]}"
-            )
+        self.check_size(frame, state.color.shape[:2])
         clock = Clock()
         clock.start("unreliable")
         measurement = Measurement.of(frame, self.jump, self.min_probability, self.shadows, state.noise)

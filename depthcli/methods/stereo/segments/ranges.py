@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.nearest import nearest_points
+from depthcli.algorithms.regions import region_sums
 from depthcli.core import memory
 from depthcli.core.method import ConfigModel
-from depthcli.kernels.jit import jit, run_bands, zeros
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.keypoint_matching import Matches
 from depthcli.methods.stereo.segments.first_estimate import grid_parts
 from depthcli.methods.stereo.volume import CostVolume
@@ -68,8 +69,8 @@ class Ranges(ConfigModel):
             np.minimum.at(low, zones[rows, columns], matches.disparity)
             np.maximum.at(high, zones[rows, columns], matches.disparity)
         if matches is not None and 0 < self.neighbors <= len(matches):
-            sizes, columns, rows = _place_sums(zones, count)
-            x, y = columns / sizes, rows / sizes
+            sizes, sums = region_sums(zones, np.dstack([*np.indices(zones.shape, np.float32)]), count)
+            y, x = np.ascontiguousarray((sums / np.maximum(sizes, 1)[:, None]).T)
             index = nearest_points(x, y, matches.x, matches.y, self.neighbors)
             farthest = index[:, -1]
             near = np.ascontiguousarray(matches.disparity[index].T)  # minima along a short last axis take long
@@ -98,19 +99,6 @@ class Ranges(ConfigModel):
             _penalize, len(costs), costs, ranges.zones, ranges.limits, penalty, kind(min(limit, 65535)), penalized
         )
         return CostVolume(penalized, volume.scale)
-
-
-@jit
-def _place_sums(zones, count):
-    # Pixels of every zone, at least 1, and the sums of their columns and of their rows, (n,) each.
-    height, width = zones.shape
-    sizes, columns, rows = zeros(count, np.float64), zeros(count, np.float64), zeros(count, np.float64)
-    for y in range(height):
-        for x in range(width):
-            sizes[zones[y, x]] += 1
-            columns[zones[y, x]] += x
-            rows[zones[y, x]] += y
-    return np.maximum(sizes, 1), columns, rows
 
 
 @jit

@@ -17,6 +17,7 @@ from depthcli.core.context import Clock
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.method import ConfigModel
+from depthcli.kernels.winners import right_at_match
 from depthcli.methods.stereo.keypoint_matching import KeyPointMatching, Matches
 from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
@@ -121,7 +122,7 @@ class SegmentSteps(ConfigModel):
         if self.details:
             clock.start("details")
             result.tables = _tables(segments, assignment, matches, ranges.by_segment(labels))
-            result.pictures = _pictures(pair, labels, matches) | {
+            result.pictures = _pictures(pair, segments, matches) | {
                 "initial_disparity": first.values,
                 "trusted": np.where(first.trusted, np.uint8(255), np.uint8(0)),
             }
@@ -130,14 +131,12 @@ class SegmentSteps(ConfigModel):
 
 
 def map_with_status(values: NDArray[np.float32], first: FirstEstimate) -> DisparityMap:
-    """Return the disparities (H, W) of planes with the status of every pixel.
+    """Return the disparities (H, W), of planes or restored, with the status of every pixel.
 
-    Trusted pixels within a pixel of their plane are smoothed measurements. All others are filled: occluded where the
-    plane's match lies outside the right image or the right view has a larger disparity there, mismatched otherwise.
+    Trusted pixels within a pixel of their first disparity are smoothed measurements. All others are filled: occluded if
+    their match is outside the right image or the right view has a larger disparity there, mismatched otherwise.
     """
-    columns = np.arange(values.shape[1])[None] - np.rint(values).astype(np.int64)
-    right = np.take_along_axis(first.right, np.clip(columns, 0, values.shape[1] - 1), axis=1)
-    hidden = (columns < 0) | (right > values + 1)
+    hidden = right_at_match(values, first.right) > values + 1
     reason = np.where(hidden & ~first.trusted, Status.OCCLUDED, Status.MISMATCH) | Status.FILLED
     agrees = first.trusted & (np.abs(values - first.values) <= 1)
     return DisparityMap(values, np.where(agrees, Status.SMOOTHED, reason).astype(np.uint8))
@@ -172,12 +171,10 @@ def _tables(
     return result
 
 
-def _pictures(pair: StereoPair, labels: NDArray[np.int32], matches: Matches | None) -> dict[str, NDArray[Any]]:
+def _pictures(pair: StereoPair, segments: SegmentedImage, matches: Matches | None) -> dict[str, NDArray[Any]]:
     """Return the segments as numbers and in mean colors with white rims, and the matched key points, see _lines."""
-    flat, channels = labels.ravel(), pair.color8[0].reshape(-1, 3)
-    sizes = np.maximum(np.bincount(flat), 1)[:, None]
-    means = np.stack([np.bincount(flat, channels[:, c]) for c in range(3)], axis=1) / sizes
-    picture = np.rint(means).astype(np.uint8)[labels]
+    labels = segments.labels
+    picture = np.rint(segments.graph.means).astype(np.uint8)[labels]
     picture[:, 1:][labels[:, 1:] != labels[:, :-1]] = 255
     picture[1:][labels[1:] != labels[:-1]] = 255
     result: dict[str, NDArray[Any]] = {"segments_preview": picture}

@@ -17,7 +17,7 @@ class TransparentPipeline(Method):
     """Input in addition to color and depth: sparse depth, or a mask of the objects."""
 
     bytes_per_pixel: ClassVar[int] = 160
-    """Estimate of the peak working memory, without 16 MiB."""
+    """Estimate of the peak working memory per pixel, bytes, without 16 MiB for the whole."""
 
     @abstractmethod
     def __call__(self, frame: SparseFrame) -> DepthResult:
