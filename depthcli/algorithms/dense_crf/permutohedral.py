@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from depthcli.core import memory
 from depthcli.core.maps import Doubles, Floats, Ints
 from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
-from depthcli.kernels.lanes import LANES, load, splat, store
 
 BAND = 16384  # points per table of vertices: the table fits into the cache
 _TILE = 64  # points whose simplices are computed together: their coordinates stay in the first-level cache
@@ -103,7 +102,7 @@ class Lattice:
 
     def filter(self, values: Floats) -> Floats:
         """Return (N, C) float32 ``values``, blurred by a Gaussian with value about ``1 + 2^-d`` at distance 0."""
-        width = -(-values.shape[1] // LANES) * LANES
+        width = values.shape[1]
         sizes = (self.vertex.size, self.vertices + 1, self.vertices + 1)
         partial, near, far = (memory.empty((rows * width,), np.float32) for rows in sizes)
         result = np.empty(values.shape, np.float32)
@@ -383,19 +382,20 @@ def _response(slots, vertex, neighbors, start, stop, turn):
 def _gather_vertices(begin, end, partial, order, first, values, width):
     # Write to ``values`` the sum of the slots of every vertex; all are rows of ``width`` numbers.
     for v in range(begin, end):
-        to = v * width
-        for k in range(0, width - LANES + 1, LANES):
-            value = load(partial, order[first[v]] * width + k)
-            for s in range(first[v] + 1, first[v + 1]):
-                value += load(partial, order[s] * width + k)
-            store(values, to + k, value)
+        total = values[v * width : (v + 1) * width]
+        total[:] = np.float32(0)
+        for s in range(first[v], first[v + 1]):
+            row = partial[order[s] * width : (order[s] + 1) * width]
+            for k in range(width):
+                total[k] += row[k]
 
 
 @jit
 def _blur_axis(begin, end, source, left, right, target, width):
     # Write to ``target`` the vertices' rows of ``width`` numbers, blurred by [1/2 1 1/2] along one axis.
-    half = splat(np.float32(0.5))
     for v in range(begin, end):
-        at, low, high = v * width, left[v] * width, right[v] * width
-        for k in range(0, width - LANES + 1, LANES):
-            store(target, at + k, load(source, at + k) + half * (load(source, low + k) + load(source, high + k)))
+        own, blurred = source[v * width : (v + 1) * width], target[v * width : (v + 1) * width]
+        before = source[left[v] * width : (left[v] + 1) * width]
+        after = source[right[v] * width : (right[v] + 1) * width]
+        for k in range(width):
+            blurred[k] = own[k] + np.float32(0.5) * (before[k] + after[k])
