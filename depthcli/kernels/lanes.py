@@ -46,6 +46,7 @@ FLOATS = Lanes(ir.FloatType(), LANES)
 _WIDE_FLOATS = Lanes(ir.FloatType(), WIDE)
 _SHORTS = Lanes(ir.IntType(16), SHORT_LANES)
 _BYTES = Lanes(ir.IntType(8), SHORT_LANES)
+_FEW_BYTES = Lanes(ir.IntType(8), LANES)
 _LANES_OF = {types.float32: FLOATS, types.int16: _SHORTS, types.uint8: _BYTES}
 _INTEGERS = ir.VectorType(ir.IntType(32), LANES)
 
@@ -192,6 +193,12 @@ def shifted_right(typingctx, value, count):
         return builder.lshr(args[0], spread(builder, args[1], value.vector))
 
     return value(value, count), codegen
+
+
+@_operation(_FEW_BYTES(FLOATS))
+def as_bytes(builder, value):
+    """Return the float32 lanes of ``value``, 0 <= value < 256, truncated to uint8."""
+    return builder.trunc(builder.fptosi(value, _INTEGERS), _FEW_BYTES.vector)
 
 
 @_operation(types.UniTuple(FLOATS, 2)(_SHORTS))

@@ -10,7 +10,8 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Floats, Image8
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.exponential import exp_minus_16
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import helper, jit, run_bands
+from depthcli.kernels.lanes import LANES, as_bytes, lane_exp_minus_16, load, load_like, splat, store
 from depthcli.methods.stereo.cost import CostMeasure, PartCost, light_weights
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
@@ -48,19 +49,19 @@ class Combined(CostMeasure):
         return max(part.cost.pixel_bytes() for part in self.parts)
 
     def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
-        unit = 255 // len(self.parts)
-        total: Image8 = memory.empty((*pair.shape, n_disparities), np.uint8)
+        unit, n_padded = 255 // len(self.parts), max(n_disparities, LANES)
+        total: Image8 = memory.empty((*pair.shape, n_padded), np.uint8)
         weights = light_weights([part.cost for part in self.parts], pair)
         if weights is None:
             weights = np.ones((len(self.parts), pair.shape[0], 1), np.float32)
         runs = (*weights.shape[1:], -1)  # costs that share a weight: all of a pixel or of a row
         for k, (part, weight) in enumerate(zip(self.parts, weights, strict=True)):
-            volume = part.cost.checked_costs(pair, n_disparities)
+            volume = part.cost.checked_costs(pair, n_padded)
             rate = _rate(volume.scale * part.lambda_)
             terms = volume.costs.reshape(runs), rate, np.float32(unit) * weight
             run_bands(_add_exponential, pair.shape[0], *terms, k > 0, total.reshape(runs))
         fill_outside(total, np.uint8(min(255, round(self.outside * unit))))
-        return CostVolume(total, float(unit))
+        return CostVolume(np.ascontiguousarray(total[:, :, :n_disparities]), float(unit))
 
 
 def part_shares(lambda_: float) -> Floats:
@@ -82,16 +83,23 @@ def _share(rate, shares):
 
 @jit
 def _add_exponential(begin, end, costs, rate, units, adds, total):
-    # Write ``units`` (H, R) times the terms of the costs, (H, R, N), or add them: rounded half up, at most 255. A table
-    # of 256 terms would not vectorize.
-    one, half = np.float32(1), np.float32(0.5)
+    # Write ``units`` (H, R) times the terms of the costs, (H, R, N), or add them. A table of 256 terms would not
+    # vectorize.
+    _, n_runs, length = costs.shape
     for y in range(begin, end):
-        for x in range(costs.shape[1]):
-            row, sums, unit = costs[y, x], total[y, x], units[y, x]
-            if adds:
-                for i in range(row.size):
-                    term = np.int32(unit * (one - exp_minus_16(np.float32(row[i]) * rate)) + half)
-                    sums[i] = np.uint8(min(np.int32(sums[i]) + term, np.int32(255)))
-            else:
-                for i in range(row.size):
-                    sums[i] = np.uint8(np.int32(unit * (one - exp_minus_16(np.float32(row[i]) * rate)) + half))
+        for x in range(n_runs):
+            at = (y * n_runs + x) * length
+            last = at + length - LANES
+            # The last vector ends at the end of the run. It overlaps the one before, so it is computed first.
+            share = _with_share(costs, total, last, rate, units[y, x], adds)
+            for first in range(at, last, LANES):
+                store(total, first, _with_share(costs, total, first, rate, units[y, x], adds))
+            store(total, last, share)
+
+
+@helper
+def _with_share(costs, sums, at, rate, unit, adds):
+    # Lanes of the part's terms, added to ``sums`` if ``adds``, rounded half up, at most 255; see ``exp_minus_16``.
+    share = splat(np.float32(1)) - lane_exp_minus_16(load(costs, at) * splat(rate))
+    part = as_bytes(splat(unit) * share + splat(np.float32(0.5)))
+    return load_like(part, sums, at) + part if adds else part
