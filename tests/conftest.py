@@ -39,11 +39,14 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
     return result
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+@pytest.hookimpl(tryfirst=True)  # before -k and -m leave tests out
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Put tests that take minutes first: processes that run out of tests take others from the rest.
 
     The others are shuffled by the seed ``TEST_ORDER``, if there is one: files, and the tests of each.
     """
+    if not any("[" in argument for argument in config.args):
+        golden.collected.update(item.nodeid for item in items)
     if seed := os.environ.get("TEST_ORDER"):
         chance = {item.path: random.Random(f"{seed} {item.path.name}") for item in items}
         files = {path: each.random() for path, each in chance.items()}

@@ -27,6 +27,7 @@ MESSAGES = TESTS / "messages.txt"
 Same = Callable[[str, str], None]
 temporary = Path("/tmp")
 given: dict[str, list[str]] = {}  # by test, of this process
+collected: set[str] = set()  # tests with all their parameters, those that are not run included
 
 
 def read_messages() -> dict[str, list[str]]:
@@ -41,12 +42,17 @@ def read_messages() -> dict[str, list[str]]:
 
 
 def renew() -> None:
-    """Keep what was given, and drop tests that are gone."""
+    """Keep what was given, and drop tests and parameters that are gone."""
     kept = {test: lines for test, lines in sorted({**read_messages(), **given}.items()) if lines}
-    places = {test: (TESTS.parent / test.split("::")[0], test.split("::")[-1].split("[")[0]) for test in kept}
-    sources = {file: file.read_text("utf-8") for file, _ in places.values() if file.is_file()}
-    alive = [test for test, (file, name) in places.items() if f"def {name}(" in sources.get(file, "")]
-    text = "".join(f"{test}\n" + "".join(f"    {line}\n" for line in kept[test]) for test in alive)
+    whole = {test.partition("[")[0] for test in collected}
+
+    def exists(test: str) -> bool:
+        function = test.partition("[")[0]
+        file, *_, name = function.split("::")
+        path = TESTS.parent / file
+        return test in collected if function in whole else path.is_file() and f"def {name}(" in path.read_text("utf-8")
+
+    text = "".join(f"{test}\n" + "".join(f"    {line}\n" for line in kept[test]) for test in kept if exists(test))
     MESSAGES.write_text(text, "utf-8")
 
 

@@ -18,7 +18,7 @@ from depthcli.io.formats.images import read_image, write_png
 from tests import boards
 from tests.boards import SIZE, SQUARE
 from tests.command_line import run
-from tests.golden import saying, told
+from tests.golden import refused, told
 
 pytestmark = pytest.mark.slow
 
@@ -152,21 +152,6 @@ def test_the_uncertainty_of_a_focal_length_is_that_of_its_errors(tilt: float, fi
     assert max(errors, default=0.0) < 4
 
 
-def test_pairs_that_are_copies_are_refused() -> None:
-    """Though the photos of each camera alone determine it."""
-    board, true = Chessboard(9, 6, SQUARE), boards.rig()
-    pairs = {}
-    turn, shift = next(iter(boards.poses(6, EXTENT)))
-    for k in range(5):
-        points = board.points @ turn.T + shift
-        seen = true.left.project(points), true.right.project(points @ true.rotation.T + true.translation)
-        pairs[str(k)] = tuple(Corners(np.arange(54), each) for each in seen)
-    residuals = {"0": np.full((54, 2), 0.02)}
-    alone = tuple(CameraFit(each, None, {}, residuals, 30.0, {}) for each in (true.left, true.right))
-    with saying(InputError):
-        fit_rig(board, pairs, alone)
-
-
 @pytest.fixture
 def few(chess: Path, tmp_path: Path) -> Path:
     """Four of the pairs."""
@@ -189,23 +174,6 @@ def test_damaged_photos_are_left_out_and_said(few: Path, tmp_path: Path, capsys:
     out, err = capsys.readouterr()
     assert "left08.png" in err and "other.png: left out" in err
     assert "left cannot be read" in out and "60 x 50 pixels, not 640 x 480" in out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (("--board", "9by6", "--square", "25mm"), "--board: expected 9x6 (inner corners)"),
-        (("--board", "9x6", "--square", "25"), "a length with its unit, such as 25mm (got '25')"),
-        (("--board", "charuco:7x5", "--square", "25mm"), "--marker 18mm"),
-        (("--board", "charuco:30x20", "--square", "2cm", "--marker", "1cm"), "4X4_50 has 50 markers, the board 300"),
-        (("--board", "charuco:7x5", "--square", "2cm", "--marker", "1cm", "--dictionary", "9X9"), "no 9X9"),
-        ((*CHESS,), "no photos"),
-    ],
-)
-def test_wrong_options(tmp_path: Path, arguments: tuple[str, ...], text: str, capsys) -> None:
-    assert run("calibrate", tmp_path, *arguments, "-o", tmp_path / "c.yml") == 2
-    err = capsys.readouterr().err
-    assert text in err and err.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -269,20 +237,27 @@ def test_a_rig_whose_rows_do_not_meet_is_refused(
     assert "rows are 2" in capsys.readouterr().err and not (tmp_path / "c.yml").exists()
 
 
-@pytest.mark.parametrize(("noise", "refused"), [(0.01, False), (0.2, True)])
-def test_a_rig_that_fits_worse_than_its_cameras_has_to_resemble_them(noise: float, refused: bool) -> None:
+@pytest.mark.parametrize(
+    ("n_places", "noise", "longer", "is_refused"),
+    [
+        (6, 0.01, 1.3, False),
+        (6, 0.2, 1.3, True),  # a rig that fits worse than its cameras has to resemble them
+        (1, 0.0, 1.0, True),  # copies, though the photos of each camera alone determine it
+    ],
+)
+def test_pairs_and_cameras_that_determine_a_rig(n_places: int, noise: float, longer: float, is_refused: bool) -> None:
     board, true, rng = Chessboard(9, 6, SQUARE), boards.rig(), np.random.default_rng(0)
-    pairs = {}
-    for k, (turn, shift) in enumerate(boards.poses(6, EXTENT)):
+    pairs, places = {}, list(boards.poses(6, EXTENT))
+    for k in range(6):
+        turn, shift = places[k % n_places]
         points = board.points @ turn.T + shift
         seen = true.left.project(points), true.right.project(points @ true.rotation.T + true.translation)
         pairs[str(k)] = tuple(Corners(np.arange(54), each + rng.normal(0, noise, each.shape)) for each in seen)
-    longer = [replace(each, matrix=np.diag([1.3, 1.3, 1]) @ each.matrix) for each in (true.left, true.right)]
+    cameras = [replace(each, matrix=np.diag([longer, longer, 1]) @ each.matrix) for each in (true.left, true.right)]
     residuals = {"0": np.full((54, 2), 0.02)}
-    alone = tuple(CameraFit(each, None, {}, residuals, 30.0, {}) for each in longer)
-    if refused:
-        with saying(InputError):
-            fit_rig(board, pairs, alone)
+    alone = tuple(CameraFit(each, None, {}, residuals, 30.0, {}) for each in cameras)
+    if is_refused:
+        refused(InputError, fit_rig, board, pairs, alone)
     else:
         assert fit_rig(board, pairs, alone).rig.baseline == pytest.approx(0.12, rel=0.01)
 

@@ -113,7 +113,6 @@ def test_masks(matched: tuple[Path, Path], tmp_path: Path, capsys: pytest.Captur
     assert len(vertices(tmp_path / "a/planes_0/points.ply")) == measured.sum()
     middle = float(np.nanmedian(read_pfm(tmp_path / "a/planes_0/depth.pfm")[measured]))
     assert run("depth", *one, "-o", tmp_path / "near", "--far", str(middle)) == 0
-    assert run("depth", *one, "-o", tmp_path / "none", "--near", "3", "--far", "1") == 2
     assert 0 < len(vertices(tmp_path / "near/planes_0/points.ply")) < measured.sum()
     np.testing.assert_array_equal(
         read_status(tmp_path / "a/planes_0/status.png"), read_status(made / "planes_0/status.png")
@@ -128,8 +127,7 @@ def test_masks(matched: tuple[Path, Path], tmp_path: Path, capsys: pytest.Captur
     assert confidence[kept].min() > confidence[measured & ~kept].max()
     assert run("depth", *one, "-o", tmp_path / "e", "--mask", "confident:0.6") == 3
     told(capsys.readouterr().err)
-    for mask in ("sure", "confident:2"):
-        assert run("depth", *one, "-o", tmp_path / "f", "--mask", mask) == 2
+    assert run("depth", *one, "-o", tmp_path / "f", "--mask", "confident:2") == 2
 
 
 def test_where_the_calibration_comes_from(matched: tuple[Path, Path], tmp_path: Path, capsys):
@@ -148,8 +146,6 @@ def test_where_the_calibration_comes_from(matched: tuple[Path, Path], tmp_path: 
     (tmp_path / "calib.txt").write_text(V3.replace("178.089", "wide"))
     assert run("depth", *one, "--calibration", tmp_path / "calib.txt", "-o", tmp_path / "c", "--overwrite") == 3
     told(capsys.readouterr().err)
-    assert run("depth", *one, "--focal", "700", "-o", tmp_path / "d") == 2
-    assert run("depth", *one, *by_hand, "--calibration", tmp_path / "calib.txt", "-o", tmp_path / "d") == 2
 
 
 def test_other_cameras_of_a_calibration_give_another_depth(tmp_path: Path):

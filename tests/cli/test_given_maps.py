@@ -200,20 +200,10 @@ def test_a_folder_that_cannot_be_used_fails_alone(two_scenes: Path, maps: Path, 
     assert (tmp_path / "out" / NAMES[1] / "probability.pfm").is_file()
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (("--share", "0.8", "--threshold", "0.5"), "--share and --threshold exclude each other"),
-        (("--keep", "0.8"), "the share of the surest pixels is --share 0.8"),
-        (("--measure", "sharpness"), "--measure: no measure called 'sharpness'; one of: all, left_right"),
-        (("--pattern", "other={scene}.pfm"), "--pattern other={scene}.pfm: no run is called 'other'; one of: sgm"),
-    ],
-)
-def test_wrong_options_are_one_line(words: tuple[str, ...], text: str, two_scenes, maps, tmp_path: Path, capsys):
-    assert run("confidence", "-i", two_scenes, "--maps", maps, "-o", tmp_path / "out", *words) == 2
-    shown = capsys.readouterr().err
-    assert text in shown
-    assert len(shown.splitlines()) == 1
+def test_the_scale_of_a_run_that_is_not_given_is_refused(two_scenes: Path, maps: Path, tmp_path: Path, capsys):
+    words = ("confidence", "-i", two_scenes, "--maps", maps, "-o", tmp_path / "out")
+    assert run(*words, "--pattern", "other={scene}.pfm") == 2
+    told(capsys.readouterr().err)
 
 
 def test_names_of_kept_files_and_a_single_pair(two_scenes: Path, maps: Path, tmp_path: Path):

@@ -180,19 +180,6 @@ def test_special_values_cause_no_warning(tmp_path, special):
         assert np.isfinite(read_volume(tmp_path / "run" / "pair" / f"{name}.mha", vector=name == "shift").values).all()
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        ["--fixed", "a.nii"],
-        ["--warped", "a.nii"],
-        ["--fixed", "a.nii", "--warped", "b.nii", "--field", "spm"],
-    ],
-)
-def test_incomplete_options_are_refused(tmp_path, capsys, options):
-    assert main(["register-confidence", "mind", *options, "-o", str(tmp_path / "run")]) == 2
-    told(capsys.readouterr().err)
-
-
 @pytest.mark.slow
 def test_a_preview_is_mirrored_on_request(made_volumes, run, tmp_path):
     command = ["register-confidence", "mind", "-i", str(made_volumes), "--scenes", "pair_0", *SMALL, "--neurological"]

@@ -145,13 +145,6 @@ def test_a_mask_that_cannot_be_used_is_left_out_and_said(pairs, capsys):
         assert "region_95_good" in document["scenes"][0] and {each["error"] for each in document["scenes"]} == {""}
 
 
-@pytest.mark.parametrize("words", [["--flag", "measured"], ["--flag", "measured<much"], ["--fail-flagged"]])
-def test_wrong_conditions_are_refused_before_anything_is_read(tmp_path, capsys, words):
-    assert main(["stereo", "fast", "-i", str(tmp_path / "nowhere"), "-o", str(tmp_path / "run"), *words]) == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1 and "--flag" in err and not (tmp_path / "run").exists()
-
-
 def test_a_condition_without_any_value_does_not_pass(two_scenes, tmp_path, capsys):
     command = ["stereo", "fast", "-i", str(two_scenes), "-o", str(tmp_path / "run"), "-q", "--flag", "measred<5"]
     assert main(command) == 0

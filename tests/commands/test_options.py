@@ -55,12 +55,6 @@ def test_a_scene_of_which_no_file_is_kept_fails(scene: Path, tmp_path: Path):
     assert "matches no file of the scene; there are disp_left.pfm" in rows(tmp_path / "o")["a"]["error"]
 
 
-def test_empty_words_are_refused(scene: Path, capsys: pytest.CaptureFixture[str]):
-    for words in (("-o", ""), ("--output=",), ("--output", "x", "--left", ""), ("--output", "x", "")):
-        assert stereo(scene, *words) == 2
-        told(capsys.readouterr().err)
-
-
 def test_wrong_variables_are_one_line(scene: Path, tmp_path: Path, monkeypatch, capsys):
     for name, value in (("SLURM_ARRAY_TASK_ID", "x"), ("SLURM_ARRAY_TASK_COUNT", ""), ("NUMBA_NUM_THREADS", "0")):
         with monkeypatch.context() as patch:

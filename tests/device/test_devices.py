@@ -16,7 +16,7 @@ import depthcli.device.cuda
 import depthcli.device.opencl
 from depthcli.cli import main
 from depthcli.core.errors import ConfigError
-from depthcli.device import Device, DeviceError, DeviceInfo, Kernels, Launch, find_device, open_device
+from depthcli.device import DeviceError, DeviceInfo, Kernels, Launch, find_device, open_device
 from depthcli.device.cuda import OPTIONS
 from depthcli.device.dialect import COMMON, CUDA
 from tests.device import nvrtc
@@ -101,48 +101,6 @@ def test_without_devices_all_that_needs_one_is_skipped_with_the_reason(tmp_path)
     run = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, timeout=_LIMIT)
     assert run.returncode == 0, run.stdout[-3000:] + run.stderr[-3000:]
     assert "pyopencl is not installed" in run.stdout + run.stderr
-
-
-class Memory(Device):
-    """The memory of the host as a device; its only kernel adds one."""
-
-    errors = (ZeroDivisionError,)
-
-    def _allocate(self, shape, dtype):
-        return np.empty(shape, dtype)
-
-    def _write(self, target, array):
-        target[...] = array
-
-    _read = _write
-
-    def _compile(self, kernels, name):
-        return {"add_one": lambda array: array.__iadd__(1), "fail": lambda array: 1 // 0}[name]
-
-    def _enqueue(self, kernel, n_groups, group, arguments, timed):
-        assert (n_groups, group) == ((3, 2), (4, 8))
-        kernel(*arguments)
-        return 0.5 if timed else None
-
-    def _wait(self):
-        pass
-
-    def _seconds(self, event):
-        return event
-
-
-def test_arrays_go_to_a_device_and_kernels_run_and_are_timed_there():
-    device = Memory(DeviceInfo("opencl:0", "memory", 1 << 30, True, "none"))
-    kernels, there = Kernels("depthcli.device", "benchmarks.cl"), device.upload(np.arange(6, dtype=np.uint8)[::2])
-    device.launch(kernels, "add_one", (9, 16), (4, 8), there)
-    device.launch(kernels, "add_one", (0, 16), (4, 8), there)  # nothing to do
-    device.launches = []
-    device.launch(kernels, "add_one", (9, 16), (4, 8), there)
-    device.finish()
-    assert device.launches == [Launch("add_one", 0.5, 3)]
-    np.testing.assert_array_equal(device.download(there), [2, 4, 6])
-    with saying(DeviceError):
-        device.launch(kernels, "fail", (9, 16), (4, 8), there)
 
 
 GPU = DeviceInfo("opencl:1", "a card", 1 << 33, True, "somebody's")
@@ -245,6 +203,10 @@ def add_one(groups, group, arguments):
     arguments[0][...] += np.uint8(1)
 
 
+def fail(*_):
+    raise RuntimeError("out of resources")
+
+
 def cupy() -> MagicMock:
     """Stands for the package cupy with one card, whose kernels add one, or move data in half a millisecond."""
     module = MagicMock()
@@ -254,7 +216,7 @@ def cupy() -> MagicMock:
     module.cuda.runtime.getDeviceProperties.return_value = {"name": b"a card", "totalGlobalMem": 1 << 20}
     module.cuda.get_elapsed_time.return_value = 0.5
     module.empty = lambda shape, dtype: np.empty(shape, dtype).view(Stored)
-    functions = {"add_one": add_one, "copy": lambda *_: None, "multiply_add": lambda *_: None}
+    functions = {"add_one": add_one, "fail": fail, "copy": lambda *_: None, "multiply_add": lambda *_: None}
     module.RawModule.return_value.get_function = lambda name: functions[name]
     return module
 
@@ -274,7 +236,9 @@ def pyopencl() -> MagicMock:
 
     def kernel(program, name):
         def run(queue, size, group, *arguments):
-            if name == "add_one":
+            if name == "fail":
+                fail()
+            elif name == "add_one":
                 add_one(tuple(n // g for n, g in zip(size, group, strict=True)), group, arguments)
             return SimpleNamespace(profile=SimpleNamespace(start=0, end=500_000))
 
@@ -304,14 +268,17 @@ def test_a_card_copies_runs_and_is_timed_by_either_package(card):
     assert info.driver == {"cuda": "CUDA 12.4", "opencl": "a platform, OpenCL 1.2"}[kind]
     device = open_device(kind)
     assert open_device(kind) is device and device.has_double
-    there = device.upload(np.arange(6, dtype=np.uint8).reshape(2, 3))
+    there = device.upload(np.arange(12, dtype=np.uint8)[::2].reshape(2, 3))
     kernels = Kernels("depthcli.device", "benchmarks.cl")
     device.launch(kernels, "add_one", (9, 16), (4, 8), there)
+    device.launch(kernels, "add_one", (0, 16), (4, 8), there)  # nothing to do
+    with saying(DeviceError):
+        device.launch(kernels, "fail", (9, 16), (4, 8), there)
     device.launches = []
     device.launch(kernels, "add_one", (9, 16), (4, 8), there)
     device.finish()
     assert device.launches == [Launch("add_one", 0.5e-3, 6)]
-    np.testing.assert_array_equal(device.download(there), np.arange(2, 8).reshape(2, 3))
+    np.testing.assert_array_equal(device.download(there), 2 + 2 * np.arange(6).reshape(2, 3))
     count = (1 << 20) // 64
     assert device.measure_bandwidth() == pytest.approx(2 * 4 * count / 0.5e-3)
     assert device.measure_operations() == pytest.approx(64 * 8 * 4 * 2 * (1 << 20) / 0.5e-3)

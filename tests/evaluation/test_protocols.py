@@ -58,6 +58,8 @@ def test_names_and_unknown_names():
     assert protocols.load("KITTI-2015") is protocols.load("kitti_2015")
     with saying(InputError):
         protocols.load("kitti")
+    with saying(ConfigError):
+        Settings(resolution="X")
 
 
 @pytest.mark.parametrize("name", STEREO)
@@ -94,12 +96,12 @@ def test_a_region_without_truth_gives_no_number_and_no_error(name):
         assert all(math.isnan(score.value) for score in mean)
 
 
-@pytest.mark.parametrize("name", STEREO)
-def test_another_size_is_refused(name, tmp_path):
+def test_another_size_is_refused(tmp_path):
     write_pfm(tmp_path / "m.pfm", np.ones((6, 8), np.float32))
     truth = everywhere(np.ones((6, 9), np.float32))
-    with saying(InputError):
-        make(name).read(tmp_path / "m.pfm", None, truth)
+    for name in STEREO:
+        with pytest.raises(InputError, match=r"m\.pfm: the map is 8 x 6, the truth 9 x 6"):
+            make(name).read(tmp_path / "m.pfm", None, truth)
 
 
 @pytest.mark.parametrize("name", STEREO)
@@ -213,8 +215,6 @@ def test_v3_thresholds_are_those_of_the_full_size(tmp_path, name, width, resolut
         assert pick(scores, "totbad", 2.0).value == expected
     here = {1: "totbad 2", 2: "totbad 2 (1)", 4: "totbad 2 (0.5)"}
     assert pick(scores, "totbad", 2.0).metric.heading == here[factor]
-    with saying(ConfigError):
-        Settings(resolution="X")
 
 
 def test_v3_means_weigh_the_hard_scenes_half():
@@ -368,109 +368,14 @@ def disturbed(truth: np.ndarray, holes: bool) -> np.ndarray:
     return values
 
 
-def of_motorcycle(name: str, holes: bool) -> list[Score]:
+def of_motorcycle(judge: Any, holes: bool) -> list[Score]:
     (scene,) = discover_scenes(DATA / "middlebury_v3", ALL_KINDS, patterns=["Motorcycle"])
-    judge = make(name)
     truth = judge.truth(scene)
     return judge.scores(disturbed(truth.values, holes), truth)
 
 
-@needs_data
-@pytest.mark.parametrize(
-    ("holes", "nonocc", "everything"),
-    [
-        (False, "62.21 0.00 62.21 1.02", "28.63 0.00 28.63 1.02"),
-        (True, "43.33 30.35 73.67 1.02", "19.99 30.16 50.16 1.02"),
-    ],
-)
-def test_numbers_of_evaldisp(holes, nonocc, everything):
-    """SDK 1.6: ``evaldisp`` with 0.5 px and the mask, with 1.0 px and without it; 70 disparities, not rounded."""
-    scores = of_motorcycle("middlebury-v3", holes)
-    for mask, t, printed in (("nonocc", 2.0, nonocc), ("all", 4.0, everything)):
-        keys = (("bad", t), ("invalid", None), ("totbad", t), ("avgerr", None))
-        assert " ".join(f"{find_score(scores, metric, mask, at).value:.2f}" for metric, at in keys) == printed
-
-
-@needs_data
-@pytest.mark.parametrize(
-    ("holes", "printed"),
-    [
-        (False, {
-            "nonocc": "1 0.622092 0.286175 0.0344336 0.0344336 1.01966 1.94796 0.75 1.375 1.375 10.125",
-            "all": "1 0.622289 0.286284 0.0344654 0.0344654 1.0201 1.94891 0.75 1.375 1.375 10.125",
-        }),
-        (True, {
-            "nonocc": "0.696541 0.622044 0.286091 0.0343306 0.0343306 1.01877 1.94548 0.75 1.375 1.375 10.125",
-            "all": "0.698352 0.622259 0.286283 0.0344292 0.0344292 1.01984 1.94826 0.75 1.375 1.375 10.125",
-        }),
-    ],
-)  # fmt: skip
-def test_numbers_of_the_eth3d_program(holes, printed):
-    scores = of_motorcycle("eth3d", holes)
-    shares = [("coverage", None), *(("bad", t) for t in (0.5, 1.0, 2.0, 4.0))]
-    pixels = ["avgerr", "rms", "A50", "A90", "A95", "A99"]
-    for mask, line in printed.items():
-        found = [f"{find_score(scores, metric, mask, t).value / 100:g}" for metric, t in shares]
-        found += [f"{find_score(scores, metric, mask).value:g}" for metric in pixels]
-        assert " ".join(found) == line, mask
-
-
-@needs_data
-@pytest.mark.parametrize(
-    ("holes", "printed"),
-    [
-        (False, {
-            "noc": "0.034131 0.034131 0.034483 0.034483 0.034247 0.034247 1.000000",
-            "occ": "0.034055 0.034055 0.034440 0.034440 0.034180 0.034180 1.000000",
-        }),
-        (True, {
-            "noc": "0.158709 0.034072 0.154431 0.034940 0.157304 0.034358 0.725978",
-            "occ": "0.160477 0.033999 0.154601 0.034900 0.158567 0.034292 0.725918",
-        }),
-    ],
-)  # fmt: skip
-def test_numbers_of_evaluate_scene_flow(holes, printed):
-    """``stats_disp_*_0.txt`` for two frames: D1 of background, foreground and all, each interpolated and estimated."""
-    judge = make("kitti-2015")
-    mean = {(s.metric.name, s.region, s.metric.convention): s for s in judge.mean(_kitti_frames(judge, holes))}
-    for mask, line in printed.items():
-        keys = [(f"{mask}{part}", c) for part in ("_bg", "_fg", "") for c in (INTERPOLATED, ESTIMATED_ONLY)]
-        found = [mean["D1", m, c].value for m, c in keys] + [mean["D1", mask, INTERPOLATED].density]
-        assert " ".join(f"{value / 100:.6f}" for value in found) == line, mask
-
-
-@needs_data
-@pytest.mark.parametrize(
-    ("holes", "printed"),
-    [
-        (False, {
-            "noc": ("0.034248 0.034248 0.034248 0.034248 0.034248 0.034248 0.034248 0.034248 1.000000",
-                    "1.019000 1.019000"),
-            "occ": ("0.034187 0.034187 0.034187 0.034187 0.034187 0.034187 0.034187 0.034187 1.000000",
-                    "1.018526 1.018526"),
-        }),
-        (True, {
-            "noc": ("0.160359 0.034356 0.157289 0.034356 0.154926 0.034356 0.152741 0.034356 0.726003",
-                    "5.056188 1.020277"),
-            "occ": ("0.161482 0.034296 0.158431 0.034296 0.156088 0.034296 0.153919 0.034296 0.725951",
-                    "5.176367 1.019825"),
-        }),
-    ],
-)  # fmt: skip
-def test_numbers_of_evaluate_stereo(holes, printed):
-    """``stats_*_out.txt`` (2 to 5 px, interpolated and estimated; density) and ``stats_*_avg.txt`` for two frames."""
-    judge = make("kitti-2012")
-    mean = judge.mean(_kitti_frames(judge, holes))
-    both = (INTERPOLATED, ESTIMATED_ONLY)
-    for mask, (out, average) in printed.items():
-        rates = [find_score(mean, "out", mask, t, c).value for t in (2.0, 3.0, 4.0, 5.0) for c in both]
-        rates.append(find_score(mean, "out", mask, 3.0, INTERPOLATED).density)
-        assert " ".join(f"{rate / 100:.6f}" for rate in rates) == out, mask
-        found = [find_score(mean, "avgerr", mask, None, c).value for c in both]
-        assert " ".join(f"{value:.6f}" for value in found) == average, mask
-
-
-def _kitti_frames(judge: Any, holes: bool) -> list[MapResult]:
+def of_kitti(judge: Any, holes: bool) -> list[Score]:
+    """The mean of two frames."""
     results = []
     for folder, noc in (("kitti/2012_000070_10", "disp_left_noc.png"), ("kitti_eval_pairs/pair_07", "disp_left.png")):
         occ = read_disparity(DATA / folder / "disp_left.png")
@@ -479,7 +384,56 @@ def _kitti_frames(judge: Any, holes: bool) -> list[MapResult]:
         truth = DisparityTruth(occ, judge.masks(stored), stored.noc)
         scores = judge.scores(disturbed(occ, holes), truth)
         results.append(MapResult("r", folder, "d", judge.name, scores=tuple(scores)))
-    return results
+    return judge.mean(results)
+
+
+@needs_data
+@pytest.mark.parametrize("holes", [False, True])
+@pytest.mark.parametrize(
+    ("name", "of_frames", "keys", "form", "printed"),
+    [
+        # SDK 1.6: evaldisp with 0.5 px and the mask, with 1.0 px and without it; 70 disparities, not rounded.
+        ("middlebury-v3", of_motorcycle, "bad 2, invalid, totbad 2, avgerr", "{:.2f}",
+         {"nonocc": ("62.21 0.00 62.21 1.02", "43.33 30.35 73.67 1.02")}),
+        ("middlebury-v3", of_motorcycle, "bad 4, invalid, totbad 4, avgerr", "{:.2f}",
+         {"all": ("28.63 0.00 28.63 1.02", "19.99 30.16 50.16 1.02")}),
+        # The program of ETH3D.
+        ("eth3d", of_motorcycle, "coverage, bad .5, bad 1, bad 2, bad 4", "{:g}%",
+         {"nonocc": ("1 0.622092 0.286175 0.0344336 0.0344336", "0.696541 0.622044 0.286091 0.0343306 0.0343306"),
+          "all": ("1 0.622289 0.286284 0.0344654 0.0344654", "0.698352 0.622259 0.286283 0.0344292 0.0344292")}),
+        ("eth3d", of_motorcycle, "avgerr, rms, A50, A90, A95, A99", "{:g}",
+         {"nonocc": ("1.01966 1.94796 0.75 1.375 1.375 10.125", "1.01877 1.94548 0.75 1.375 1.375 10.125"),
+          "all": ("1.0201 1.94891 0.75 1.375 1.375 10.125", "1.01984 1.94826 0.75 1.375 1.375 10.125")}),
+        # The kits of KITTI: stats_disp_*_0.txt; stats_*_out.txt, stats_*_avg.txt (each interpolated and estimated).
+        ("kitti-2015", of_kitti, "D1 bg, D1 fg, D1, density 3", "{:.6f}%",
+         {"noc": ("0.034131 0.034131 0.034483 0.034483 0.034247 0.034247 1.000000",
+                  "0.158709 0.034072 0.154431 0.034940 0.157304 0.034358 0.725978"),
+          "occ": ("0.034055 0.034055 0.034440 0.034440 0.034180 0.034180 1.000000",
+                  "0.160477 0.033999 0.154601 0.034900 0.158567 0.034292 0.725918")}),
+        ("kitti-2012", of_kitti, "out 2, out 3, out 4, out 5, density 3", "{:.6f}%",
+         {"noc": ("0.034248 0.034248 0.034248 0.034248 0.034248 0.034248 0.034248 0.034248 1.000000",
+                  "0.160359 0.034356 0.157289 0.034356 0.154926 0.034356 0.152741 0.034356 0.726003"),
+          "occ": ("0.034187 0.034187 0.034187 0.034187 0.034187 0.034187 0.034187 0.034187 1.000000",
+                  "0.161482 0.034296 0.158431 0.034296 0.156088 0.034296 0.153919 0.034296 0.725951")}),
+        ("kitti-2012", of_kitti, "avgerr", "{:.6f}",
+         {"noc": ("1.019000 1.019000", "5.056188 1.020277"), "occ": ("1.018526 1.018526", "5.176367 1.019825")}),
+    ],
+)  # fmt: skip
+def test_numbers_of_the_benchmarks_programs(name, of_frames, keys, form, printed, holes):
+    judge = make(name)
+    scores = of_frames(judge, holes)
+    both = (INTERPOLATED, ESTIMATED_ONLY) if of_frames is of_kitti else (None,)
+    for mask, lines in printed.items():
+        found = []
+        for metric, *more in map(str.split, keys.split(", ")):
+            threshold = next((float(word) for word in more if word[-1].isdigit()), 3.0 if metric == "D1" else None)
+            region = "_".join([mask, *(word for word in more if word[-1].isalpha())])
+            if metric == "density":
+                found.append(find_score(scores, judge.headline.name, region, threshold, INTERPOLATED).density)
+            else:
+                found += [find_score(scores, metric, region, threshold, each).value for each in both]
+        share = 100 if form.endswith("%") else 1
+        assert " ".join(form.rstrip("%").format(value / share) for value in found) == lines[holes], mask
 
 
 @needs_data

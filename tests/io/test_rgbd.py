@@ -4,7 +4,6 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -36,6 +35,7 @@ from depthcli.io.scenes.pairs import PAIRS
 from depthcli.problems.inputs import load_config
 from depthcli.problems.kinect import RefineKinect
 from depthcli.problems.transparent import Transparent
+from tests.cli.test_rectify import opencv
 from tests.command_line import run
 from tests.contracts.layouts import check_layout
 from tests.golden import refused, saying
@@ -486,12 +486,8 @@ def test_a_rig_and_a_rectified_pair(tmp_path):
 
 def test_yaml_of_opencv(tmp_path):
     write_infrared(tmp_path, None)
-    storage = cv2.FileStorage(str(tmp_path / "calib.yml"), cv2.FILE_STORAGE_WRITE)
-    lenses = {"D1": [[0.1, 0, 0, 0, 0]], "D2": np.zeros((1, 5))}
-    values = {"M1": K, "M2": K, **lenses, "R": np.eye(3), "T": [[-0.05], [0], [0]]}
-    for name, value in values.items():
-        storage.write(name, np.asarray(value, np.float64))
-    storage.release()
+    left, right = (Camera(np.array(K, float), lens) for lens in ((0.1, 0.0, 0.0, 0.0, 0.0), (0.0,) * 5))
+    opencv(tmp_path / "calib.yml", Rig(left, right, np.eye(3), np.array([-0.05, 0, 0])), "M1 D1 M2 D2 R T")
     rig = loaded(tmp_path).rig
     assert rig is not None
     np.testing.assert_allclose(rig.translation, [-0.05, 0, 0])
@@ -513,18 +509,18 @@ def test_sixteen_bits_use_their_own_range(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "infrared"),
+    "change",
     [
-        (None, (28, 36)),
-        ({"color": None}, (28, 36)),
-        ({"t": [80, 0, 0]}, (28, 36)),
-        ({"infrared": {"K": K, "size": [640, 480]}}, (28, 36)),
-        ({"infrared": {"K": K, "distortion": [1, 2, 3]}}, (28, 36)),
-        ({"rectified": True, "fb": 10.0}, (28, 36)),
+        None,
+        {"color": None},
+        {"t": [80, 0, 0]},
+        {"infrared": {"K": K, "size": [640, 480]}},
+        {"infrared": {"K": K, "distortion": [1, 2, 3]}},
+        {"rectified": True, "fb": 10.0},
     ],
 )
-def test_what_cannot_be_used_says_why_in_a_line(tmp_path, change, infrared):
-    write_infrared(tmp_path, None if change is None else {**RIG, **change}, infrared)
+def test_what_cannot_be_used_says_why_in_a_line(tmp_path, change):
+    write_infrared(tmp_path, None if change is None else {**RIG, **change})
     refused(InputError, loaded, tmp_path)
 
 

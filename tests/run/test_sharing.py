@@ -212,7 +212,3 @@ def test_leaving_files_out(made_scenes: Path, whole: Path, tmp_path: Path):
     assert (out / "planes_0/disp_left.pfm").stat().st_mtime_ns == stamp
     assert run(*common) == 0
     assert contents(out / "planes_0") == contents(whole / "planes_0")
-
-
-def test_shards_and_evaluation_exclude_each_other(made_scenes: Path, tmp_path: Path):
-    assert run("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", "--shard", "1/2", "--evaluate") == 2

@@ -34,6 +34,13 @@ def moved_pair(shift: int, width: int = 120) -> StereoPair:
     return StereoPair(left.copy(), canvas[:, start : start + width].copy())
 
 
+def images_of(pair: StereoPair, folder: Path) -> tuple[str | Path, ...]:
+    """Write a pair, and return the words that name it."""
+    write_png(folder / "l.png", pair.left)
+    write_png(folder / "r.png", pair.right)
+    return "--left", folder / "l.png", "--right", folder / "r.png", "--name", "s"
+
+
 @pytest.mark.parametrize("low", [-9, -1, 1, 6])
 def test_shifting_there_and_back_is_exact(low: int):
     """Costs of the shifted pair are those of the pair, cell by cell, wherever both views have pixels."""
@@ -57,9 +64,7 @@ def test_shifting_there_and_back_is_exact(low: int):
 @pytest.mark.parametrize("preset", ["fast", "opencv-sgbm"])
 def test_a_converging_or_cropped_pair(shift: int, preset: str, tmp_path: Path, capsys):
     pair = moved_pair(shift)
-    write_png(tmp_path / "l.png", pair.left)
-    write_png(tmp_path / "r.png", pair.right)
-    images = ("--left", tmp_path / "l.png", "--right", tmp_path / "r.png", "--name", "s")
+    images = images_of(pair, tmp_path)
     ends = ("--min-disparity", str(shift - 5), "--max-disparity", str(shift + 6))
     assert run("stereo", preset, *images, *ends, "-o", tmp_path / "run", "-q") == 0
     values, status = read_pfm(tmp_path / "run/s/disp_left.pfm"), read_status(tmp_path / "run/s/status.png")
@@ -85,9 +90,7 @@ def test_a_converging_or_cropped_pair(shift: int, preset: str, tmp_path: Path, c
 
 def test_what_the_report_and_the_warnings_say(tmp_path: Path, capsys):
     pair = moved_pair(-12)
-    write_png(tmp_path / "l.png", pair.left)
-    write_png(tmp_path / "r.png", pair.right)
-    images = ("--left", tmp_path / "l.png", "--right", tmp_path / "r.png", "--name", "s")
+    images = images_of(pair, tmp_path)
     assert run("stereo", "fast", *images, "--min-disparity", "-12", "--max-disparity", "8", "-o", tmp_path / "a") == 0
     err = capsys.readouterr().err
     assert "of the measured pixels are at the end of the search range, -12; see min_disparity" in err
@@ -149,9 +152,7 @@ def test_ranges_that_end_before_near_things_are_warned_of(tmp_path: Path, capsys
     assert near is not None and abs(near - top) <= 3
     assert matched_beyond(pair, SearchRange(0, top)) is None
     assert matched_beyond(StereoPair(blobs(300, 200, 1), blobs(300, 200, 2)), SearchRange(0, 5)) is None
-    write_png(tmp_path / "l.png", scene.left)
-    write_png(tmp_path / "r.png", scene.right)
-    images = ("--left", tmp_path / "l.png", "--right", tmp_path / "r.png", "--name", "s")
+    images = images_of(pair, tmp_path)
     for searched in (round(0.75 * top), top):
         assert run("stereo", "fast", *images, "--max-disparity", str(searched), "-o", tmp_path / f"{searched}") == 0
         assert ("see max_disparity" in capsys.readouterr().err) == (searched < top)
