@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.images import read_image
 from depthcli.kernels.cache import cache_folder
 
 TESTS = Path(__file__).resolve().parent
@@ -103,7 +104,9 @@ def same_text(name: str, text: str, renewed: bool) -> None:
     assert plain == file.read_text("utf-8"), f"look at tests/outputs/{name}; pytest --renew writes it"
 
 
-def _volume(file: Path) -> Any:
+def _values(file: Path) -> Any:
+    if file.suffix in (".pfm", ".png"):
+        return read_plane(file) if file.suffix == ".pfm" else read_image(file)
     import SimpleITK
 
     return SimpleITK.GetArrayFromImage(SimpleITK.ReadImage(str(file)))
@@ -115,14 +118,15 @@ def svg_words(file: Path) -> str:
     return f"{file.name}: {', '.join(text.strip(chr(0x200B)) for text in texts)}"
 
 
-def same_figures(key: str, folder: Path, renewed: bool) -> None:
+def same_figures(key: str, folder: Path, renewed: bool, endings: tuple[str, ...] = (".pfm", ".nii.gz")) -> None:
     """Compare every map below a folder with the figures of ``key`` in ``tests/outputs/maps.json``, or write them.
 
-    A map has the share of its pixels with a value, their mean, and the mean step to the pixel on the right.
+    A map has the share of its pixels with a value, their mean, and the mean step to the next one (on the right, or of
+    the next channel).
     """
     found = {}
-    for path in sorted(path for path in folder.rglob("*") if path.name.endswith((".pfm", ".nii.gz"))):
-        values = np.array(read_plane(path) if path.suffix == ".pfm" else _volume(path), np.float64)
+    for path in sorted(path for path in folder.rglob("*") if path.name.endswith(endings)):
+        values = np.array(_values(path), np.float64)
         values[~np.isfinite(values)] = np.nan
         known, steps = (each[np.isfinite(each)] for each in (values, np.diff(values, axis=-1)))
         figures = known.size / values.size, *(each.mean() if each.size else 0.0 for each in (known, np.abs(steps)))

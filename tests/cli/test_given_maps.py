@@ -88,9 +88,9 @@ def test_stereo_and_fuse_write_the_same_bounds_as_python_and_confidence(two_scen
     wanted = ("--bound", "--level", "0.8", "--max-disparity", "16")
     left, right = (read_image(two_scenes / NAMES[0] / f"{view}.png") for view in ("left", "right"))
     for command, preset, function in (("stereo", "fast", depthcli.stereo), ("fuse", "accurate", depthcli.fuse)):
-        assert run(command, preset, *one, *wanted, "-o", tmp_path / command) == 0
+        assert run(command, preset, *one, *wanted, "--set", "confidence=[lrc]", "-o", tmp_path / command) == 0
         made = tmp_path / command / NAMES[0]
-        found = function(left, right, 16, preset, bound={"level": 0.8})
+        found = function(left, right, 16, preset, bound={"level": 0.8}, confidence=["lrc"])
         found.save(tmp_path / "py" / command / NAMES[0])
         assert contents(tmp_path / "py" / command / NAMES[0]) == contents(made)
         row = rows(tmp_path / command)[NAMES[0]]

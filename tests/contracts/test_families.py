@@ -13,9 +13,11 @@ from depthcli.core.method import Family
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.methods.fusion.choice.energy import neighbor_weights
 from depthcli.simulate.samples import SAMPLE_KINDS, sample_scenes
+from depthcli.simulate.stereo_scenes import KINDS
 from depthcli.testing.optimization import SMOOTHNESS_CHECKS, Smoothness
 from tests.contracts.checks import CHECKS
 from tests.contracts.layouts import check_layout
+from tests.golden import same_figures
 from tests.scenes import load as load_scene
 
 FIELDS: dict[str, dict[str, Any]] = {
@@ -53,10 +55,18 @@ def test_layout_of_our_own_scenes(made_scenes: Path):
     check_layout("scenes", made_scenes)
 
 
-@pytest.mark.parametrize("name", ["stereo", "real", "kinect", "cross_modal", "registration"])
-def test_samples_are_found_with_their_truth_and_are_the_same_again(name: str, tmp_path: Path):
+@pytest.mark.parametrize("name", ["stereo", "real", "kinect", "cross_modal", "registration", "transparent"])
+def test_samples_are_found_with_their_truth_and_are_the_same_again(
+    name: str, request: pytest.FixtureRequest, tmp_path: Path
+):
     sample = SAMPLE_KINDS[name]
-    small = {"count": 2, "width": 96, "height": 64, "max_disparity": 12}
+    small = {
+        "count": 2 if name == "registration" else len(KINDS),
+        "kind": KINDS,
+        "width": 96,
+        "height": 64,
+        "max_disparity": 12,
+    }
     defaults = vars(SampleOptions())
     given = {key: small.get(key, defaults[key]) for key in sample.options}
     scenes, written = sample_scenes(name, given), []
@@ -66,6 +76,8 @@ def test_samples_are_found_with_their_truth_and_are_the_same_again(name: str, tm
             sample.make(given, scene, root / scene.name)
         written.append({path.relative_to(root): path.read_bytes() for path in root.rglob("*.*")})
     assert written[0] and written[0] == written[1]
+    renewed = request.config.getoption("renew")
+    same_figures(f"sample {name}", tmp_path / "once", renewed, (".pfm", ".png", ".nii.gz"))
     found = discover_scenes(tmp_path / "once", ALL_KINDS)
     assert all(any(f"{made.name}/".startswith(f"{scene.name}/") for made in found) for scene in scenes)
     for made in found:

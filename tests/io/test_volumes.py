@@ -288,27 +288,6 @@ def test_what_is_read_beside_a_file_is_an_input(tmp_path: Path):
     assert distortion_map(tmp_path / "calib.json") == tmp_path / "dc_beta.npy"
 
 
-def test_a_changed_file_behind_a_header_is_computed_again(tmp_path: Path):
-    from depthcli.cli import main
-    from depthcli.simulate.deformed_volumes import smooth_noise
-
-    values = smooth_noise(np.random.default_rng(0), (16, 20, 24), 1.5).astype("<f4")
-    header = META.replace("6 5 4", "24 20 16")
-    (tmp_path / "in").mkdir()
-    for name in ("fixed", "moving_warped"):
-        put(tmp_path / "in" / f"{name}.mhd", f"{header}ElementDataFile = {name}.raw\n")
-        (tmp_path / "in" / f"{name}.raw").write_bytes(values.tobytes())
-    command = ["register-confidence", "coarse", "-i", str(tmp_path / "in"), "-o", str(tmp_path / "out")]
-    assert main(command) == 0
-    record = next((tmp_path / "out").rglob("record.json"))
-    before = record.read_bytes(), record.stat().st_mtime_ns
-    assert main(command) == 0
-    assert (record.read_bytes(), record.stat().st_mtime_ns) == before
-    (tmp_path / "in" / "moving_warped.raw").write_bytes(values[:, :, ::-1].tobytes())
-    assert main(command) == 0
-    assert record.read_bytes() != before[0]
-
-
 def test_values_outside_of_the_folder_are_not_read(tmp_path: Path):
     (tmp_path / "in").mkdir()
     (tmp_path / "v.raw").write_bytes(VALUES.tobytes())

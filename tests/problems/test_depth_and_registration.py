@@ -18,31 +18,20 @@ from tests.command_line import contents
 from tests.golden import refused, saying
 
 
-def frame(folder: Path, number: str = "") -> tuple[Any, Any]:
-    return read_image(folder / f"color{number}.png"), read_pfm(folder / f"depth{number}.pfm")
+def frame(folder: Path) -> tuple[Any, Any]:
+    return read_image(folder / "color.png"), read_pfm(folder / "depth.pfm")
 
 
-@pytest.mark.parametrize("preset", ["accurate", "dsrm"])
-def test_refined_files_are_those_of_the_command(tmp_path: Path, made_kinect: Path, preset: str):
+def test_a_cloud_is_that_of_the_command(tmp_path: Path, made_kinect: Path):
     color, depth = frame(made_kinect / "planes")
-    found = depthcli.refine_depth(color, depth, preset, fb=43.5, ply=True, mask="measured", far=50)
+    found = depthcli.refine_depth(color, depth, "dsrm", fb=43.5, ply=True, mask="measured", far=50)
     found.save(tmp_path / "python")
     cloud = ["--ply", "--mask", "measured", "--far", "50"]
     run = str(tmp_path / "run")
-    assert main(["refine-kinect", preset, "-i", str(made_kinect), "--scenes", "planes", *cloud, "-o", run, "-q"]) == 0
+    assert main(["refine-kinect", "dsrm", "-i", str(made_kinect), "--scenes", "planes", *cloud, "-o", run, "-q"]) == 0
     assert contents(tmp_path / "python") == contents(tmp_path / "run" / "planes")
     found.to_points("measured", far=50).save(tmp_path / "own.ply")
     assert (tmp_path / "own.ply").read_bytes() == (tmp_path / "python" / "points.ply").read_bytes()
-
-
-def test_a_sequence_is_refined_as_by_the_command(tmp_path: Path, made_kinect: Path):
-    frames = [frame(made_kinect / "moving", f"_{k:05}") for k in range(4)]
-    colors, depths = zip(*frames, strict=True)
-    for k, found in enumerate(depthcli.refine_depth(list(colors), list(depths), "sequence", fb=43.5)):
-        found.save(tmp_path / "python" / f"{k:05}")
-    run = str(tmp_path / "run")
-    assert main(["refine-kinect", "sequence", "-i", str(made_kinect), "--scenes", "moving*", "-o", run, "-q"]) == 0
-    assert contents(tmp_path / "python") == contents(tmp_path / "run" / "moving")
 
 
 def test_a_result_describes_itself_and_codes_are_depths_by_their_scale(made_kinect: Path):
@@ -65,22 +54,6 @@ def test_a_result_describes_itself_and_codes_are_depths_by_their_scale(made_kine
     again = found.to_points("all", intrinsics=(80, 80, 47.5, 35.5))
     assert len(points) == found.valid.sum() and np.array_equal(points.points, again.points)
     assert points.points[:, 2] == pytest.approx(found.values[found.valid])
-
-
-@pytest.mark.parametrize("preset", ["sparse", "kinect"])
-def test_completed_files_are_those_of_the_command(tmp_path: Path, made_glass: Path, preset: str):
-    scene = made_glass / "glass_0"
-    more: dict[str, Any] = {"sparse": read_pfm(scene / "sparse.pfm"), "fb": 24.0}
-    if preset == "kinect":
-        more = {"infrared": read_image(scene / "ir.png"), "calibration": scene / "calib.json"}
-        more["overrides"] = {"stereo.max_disparity": 16}
-    found = depthcli.complete_transparent(*frame(scene), **more)
-    found.save(tmp_path / "python")
-    run = str(tmp_path / "run")
-    limit = ["--set", "stereo.max_disparity=16"] if preset == "kinect" else []
-    assert main(["transparent", preset, "-i", str(made_glass), "--scenes", "glass_0", *limit, "-o", run, "-q"]) == 0
-    assert contents(tmp_path / "python") == contents(tmp_path / "run" / "glass_0")
-    assert ("stereo" in found.confidence) == (preset == "kinect")
 
 
 COLOR, DEPTH = np.full((8, 9, 3), 100, np.uint8), np.ones((8, 9), np.float32)

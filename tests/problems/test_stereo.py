@@ -23,16 +23,6 @@ def pair(made_scenes: Path) -> Images:
     return left, right  # type: ignore[return-value]
 
 
-@pytest.mark.parametrize("command", ["stereo", "fuse"])
-def test_saved_files_are_those_of_the_command(tmp_path: Path, made_scenes: Path, pair: Images, command: str):
-    found = depthcli.stereo(*pair, 12, confidence=["lrc"]) if command == "stereo" else depthcli.fuse(*pair, 12)
-    found.save(tmp_path / "python")
-    scene = ["--input", str(made_scenes), "--scenes", "planes_0", "--max-disparity", "12"]
-    scene += ["--set", "confidence=[lrc]"] if command == "stereo" else []
-    assert main([command, "accurate", *scene, "--output", str(tmp_path / "run"), "-q"]) == 0
-    assert contents(tmp_path / "python") == contents(tmp_path / "run" / "planes_0")
-
-
 def test_depth_is_that_of_the_command(tmp_path: Path, made_scenes: Path, pair: Images):
     disparity = depthcli.stereo(*pair, max_disparity=12, preset="fast")
     depth = disparity.to_depth(focal=80.0, baseline=0.2, doffs=1.0)
