@@ -114,9 +114,15 @@ def quantiles(
     values: NDArray[np.float64], weights: NDArray[np.float64], at: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return weighted quantiles."""
+    ordered, below = ranked(values, weights)
+    return np.interp(at, below, ordered)
+
+
+def ranked(values: NDArray[Any], weights: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    """Return the values in order, and the share of the weights below each, half its own included."""
     order = np.argsort(values)
     below = np.cumsum(weights[order]) - weights[order] / 2
-    return np.interp(at, below / weights.sum(), values[order])
+    return values[order], below / weights.sum()
 
 
 def table(
@@ -126,6 +132,7 @@ def table(
     min_samples: int = 200,
     worst_share: float = 0.25,
     noise: float = 0.0,
+    reach: float = 0.0,
 ) -> ErrorTable:
     """Return the table of data sets and their maps; data sets weigh the same, and so do maps without a ``weight``.
 
@@ -133,6 +140,8 @@ def table(
     ----------
     shares : of the samples below the edges of the bins
     min_samples : of a data set in a bin, so that it counts there
+    reach : share of the samples between the middle of a bin and the place where their weights in the bin, which fall
+        linearly, are 0, for few samples; 0: samples between the edges count in full, others not at all
     worst_share : how far entries lie from the mean over data sets toward the worst one
     noise : standard deviation of an offset that errors of new data may have, too
     """
@@ -141,14 +150,19 @@ def table(
     of = np.repeat([family for family, _ in maps], [one["error"].size for _, one in maps])
     edges = quantiles(key, weight, shares)
     bins = np.searchsorted(edges[1:-1], key, side="right")
+    below = np.interp(key, *ranked(key, weight)) if reach else key
     rows = np.full((len(set(of)), len(shares) - 1, len(LEVELS)), np.nan)
-    for k, family in enumerate(sorted(set(of))):
-        for row in range(rows.shape[1]):
-            inside = (of == family) & (bins == row)
-            if inside.sum() >= min_samples:
-                rows[k, row] = quantiles(np.log2(np.maximum(error[inside], 1 / 64)), weight[inside], LEVELS)
+    filled, centers = np.zeros((2, rows.shape[1]))
+    for row, middle in enumerate((shares[1:] + shares[:-1]) / 2):
+        inside = np.maximum(0, 1 - np.abs(below - middle) / reach) if reach else bins == row
+        filled[row], centers[row] = (weight * inside).sum(), (weight * inside * key).sum()
+        for k, family in enumerate(sorted(set(of))):
+            its = (of == family) & (inside > 0)
+            if its.sum() >= min_samples:
+                errors, weights = np.log2(np.maximum(error[its], 1 / 64)), (weight * inside)[its]
+                rows[k, row] = quantiles(errors, weights, LEVELS)
     enough = ~np.isnan(rows[:, :, 0]).all(axis=0)
-    rows, filled = rows[:, enough], np.bincount(bins, weight, rows.shape[1])[enough]
+    rows, filled = rows[:, enough], filled[enough]
     mean = np.nanmean(rows, axis=0)
     mixed = mean + worst_share * (np.nanmax(rows, axis=0) - mean)
     if noise:
@@ -156,7 +170,7 @@ def table(
         mixed = np.log2(np.hypot(np.exp2(mixed), least))
     rising = [-isotonic_regression(-column, weights=filled).x for column in mixed.T]
     log2 = np.maximum.accumulate(np.stack(rising, axis=1), axis=1)
-    centers = np.bincount(bins, weight * key, enough.size)[enough] / filled
+    centers = centers[enough] / filled
     # Beyond the ends it goes on a little, so that the order of the pixels stays.
     ends = [log2[:1] + 0.5, log2, log2[-1:] - 0.5]
     return ErrorTable(np.array([centers[0] - 10, *centers, centers[-1] + 10]), LEVELS, np.concatenate(ends))
