@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.filters import single_thread
-from depthcli.core.cameras.camera import Camera, Intrinsics
+from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
 from depthcli.core.maps import Doubles, Floats, Image8, Mask
@@ -37,7 +37,7 @@ _MAX_CHANGE = 1.05  # largest factor between focal lengths and baselines with re
 _MAX_UNCERTAINTY = 0.05  # largest relative standard deviation of the focal length of a determined camera
 _MIN_NOISE = 0.05  # floor of the corners' noise, pixels: fits to few photos have smaller residuals
 _MIN_MOVE = 0.005  # share of the image's width; views whose corners differ by less are the same view
-_STEP, _MIN_CONDITION = 1e-5, 1e-10  # relative step of derivatives; smallest condition of solvable equations
+_MIN_CONDITION = 1e-10  # smallest condition of solvable equations
 _DEVIATION = 1.4826  # standard deviation / median absolute deviation
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-9)
 _cv2: Any = cv2  # its stubs lack the lists of cv2 and cv2.fisheye
@@ -370,39 +370,24 @@ def _fit_camera(board: Board, photos: dict[str, Corners], size: Size, fisheye: b
     errors = {name: _rms(each) for name, each in residuals.items()}
     if tilt < MIN_TILT:
         deviations = None
-    poses = [np.concatenate([np.ravel(turn), np.ravel(shift)]) for turn, shift in zip(turns, shifts, strict=True)]
     noise = max(_rms(np.concatenate(list(residuals.values()))), _MIN_NOISE)
-    uncertainty = noise * _focal_sensitivity(camera, objects, poses)
+    uncertainty = noise * _focal_sensitivity(camera, objects, list(zip(turns, shifts, strict=True)))
     return CameraFit(camera, deviations, errors, residuals, tilt, {}, uncertainty)
 
 
-def _focal_sensitivity(camera: Camera, objects: Sequence[Floats], poses: Sequence[Doubles]) -> float:
+def _focal_sensitivity(camera: Camera, objects: Sequence[Floats], poses: Sequence[tuple[Any, Any]]) -> float:
     """Return the relative standard deviation of the focal length if corners have a standard deviation of one pixel.
 
     It comes from the normal equations of all parameters after elimination of the board's poses.
     """
-    lens = np.concatenate([camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], camera.coefficients])
-
-    def project(points: Floats, values: Doubles, pose: Doubles) -> Any:
-        matrix = Intrinsics(*values[:4].tolist()).matrix
-        model = Camera(matrix, tuple(values[4:].tolist()), None, camera.fisheye)
-        return _projected(model, points, pose[:3], pose[3:]).ravel()
-
-    def jacobian(of: Callable[[Doubles], Any], at: Doubles) -> Doubles:
-        columns = []
-        for k, value in enumerate(at):
-            step = np.zeros(len(at))
-            step[k] = _STEP * max(abs(value), 1e-2)
-            columns.append((of(at + step) - of(at - step)) / (2 * step[k]))
-        return np.stack(columns, axis=1)
-
+    project, of_pose = (cv2.fisheye.projectPoints, slice(8, 14)) if camera.fisheye else (cv2.projectPoints, slice(6))
+    of_lens = slice(8) if camera.fisheye else slice(6, 10 + len(camera.distortion))
     rows = []
-    for points, pose in zip(objects, poses, strict=True):
-        by_pose = jacobian(lambda at, points=points: project(points, lens, at), pose)  # type: ignore[misc]
-        by_lens = jacobian(lambda at, points=points, pose=pose: project(points, at, pose), lens)  # type: ignore[misc]
-        scale = np.linalg.norm(by_pose, axis=0)
-        basis = np.linalg.qr(by_pose / np.where(scale > 0, scale, 1))[0]
-        rows.append(by_lens - basis @ (basis.T @ by_lens))
+    for points, (turn, shift) in zip(objects, poses, strict=True):
+        _, slopes = project(points.astype(np.float64)[:, None], turn, shift, camera.matrix, camera.coefficients)
+        scale = np.linalg.norm(slopes[:, of_pose], axis=0)
+        basis = np.linalg.qr(slopes[:, of_pose] / np.where(scale > 0, scale, 1))[0]
+        rows.append(slopes[:, of_lens] - basis @ (basis.T @ slopes[:, of_lens]))
     stacked = np.concatenate(rows)
     scale = np.linalg.norm(stacked, axis=0)
     if not (np.isfinite(stacked).all() and (scale > 0).all()):
@@ -411,7 +396,7 @@ def _focal_sensitivity(camera: Camera, objects: Sequence[Floats], poses: Sequenc
     if spread[-1] < spread[0] * _MIN_CONDITION:
         return math.inf
     variances = np.sum((turned / spread[:, None]) ** 2, axis=0)[:2]
-    return float(np.sqrt(np.max(variances / (scale[:2] * lens[:2]) ** 2)))
+    return float(np.sqrt(np.max(variances / (scale[:2] * np.diag(camera.matrix)[:2]) ** 2)))
 
 
 def _fit_rig(
