@@ -2,7 +2,6 @@
 
 import os
 import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -11,7 +10,6 @@ from pathlib import Path
 import pytest
 
 import depthcli
-from depthcli.cli import command_of
 from tests.command_line import statuses
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -23,15 +21,6 @@ def test_named_files_exist():
     names = set(re.findall(r"(?<![\w/])((?:scripts|depthcli|tests|configs|docs)/[\w./-]*[\w/])", text))
     missing = {name for name in names if not (ROOT / name).exists()}
     assert missing == {"depthcli/methods/stereo/cost/squared_difference.py"}  # the example of CONTRIBUTING.md
-
-
-def test_the_commands_of_the_readme_have_these_options():
-    lines = re.findall(r"^depthcli ([a-z]\S*)(.*)$", README, re.MULTILINE)
-    assert {"stereo", "evaluate", "depth"} <= {name for name, _ in lines}
-    for name, line in lines:
-        options = {option for each in command_of(name).params for option in each.opts}
-        used = {word for word in shlex.split(line, comments=True) if word.startswith("-")}
-        assert used <= options, (name, used - options)
 
 
 def _makefile() -> str:
