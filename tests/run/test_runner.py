@@ -672,6 +672,7 @@ def test_a_used_up_quota_elsewhere_is_named_by_its_place(folder: Folder):
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs signals to threads")
 def test_ctrl_c_waits_until_a_worker_has_started():
     """Any thread may get it, whatever the main thread blocks."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in the background
 
     def interrupt() -> None:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -687,8 +688,11 @@ def test_ctrl_c_waits_until_a_worker_has_started():
             for _ in range(1000):  # in which a handler would be called
                 started.append(True)
 
-    with pytest.raises(KeyboardInterrupt):
-        start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            start()
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert len(started) == 1000
 
 
