@@ -1,7 +1,7 @@
 """A cost measure, a confidence measure, a protocol and a command are one file each, a layout is a row of a YAML file.
 
 The package is copied; the files of ``new_files``, the command of the plug-in template, and the cost measure of
-CONTRIBUTING.md are put beside the others, and used as a user would.
+docs/extend.md are put beside the others, and used as a user would.
 """
 
 import json
@@ -55,7 +55,8 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(TEMPLATE / "command.py", root / "depthcli" / "commands" / "constant.py")
     (root / "two.yaml").write_text(LAYOUT)
     shutil.copytree(TEMPLATE / "presets" / "constant", root / "configs" / "constant")
-    (cost,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "CONTRIBUTING.md").read_text("utf-8"), re.M | re.S)
+    page = (ROOT / "docs" / "extend.md").read_text("utf-8")
+    (cost,) = re.findall(r"^```python file=squared.py\n(.*?)^```$", page, re.M | re.S)
     (root / "depthcli" / "methods" / "stereo" / "cost" / "squared_difference.py").write_text(cost)
     (root / "squared.yaml").write_text(SQUARED)
     for name, shift in (("near", 9), ("far", 5)):
