@@ -96,8 +96,8 @@ class TableOptions:
         None, metavar="NAMES", help="Tables to print: all, or metrics,scenes-nonocc ... or headline."
     )
     format: str | None = option(None, metavar="FORMAT", help="Print wide tables: latex, markdown or csv.")
-    columns: str | None = option(None, metavar="NAMES", help="Of the tables, print only these columns.")
-    caption: str | None = option(None, metavar="TEXT", help="Caption of the one table that --tables chooses.")
+    columns: str | None = option(None, metavar="NAMES", help="Print only these columns of the tables.")
+    caption: str | None = option(None, metavar="TEXT", help="Caption, if --tables chooses a single table.")
 
 
 def local_output(output: Path | None) -> Path | None:
@@ -138,8 +138,8 @@ class PairOptions(SceneOptions):
     single_files: ClassVar[str] = "--left FILE and --right FILE"
 
     left: Path | None = option(None, metavar="FILE", help="Left image, pattern, folder or video; replaces --input.")
-    right: Path | None = option(None, metavar="FILE", help="Right image, likewise.")
-    halves: str | None = option(None, metavar="HOW", help="--left has both views: left-right or top-bottom.")
+    right: Path | None = option(None, metavar="FILE", help="Right image, pattern, folder or video.")
+    halves: str | None = option(None, metavar="HOW", help="--left contains both views: left-right or top-bottom.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,14 +155,14 @@ class CalibrationOptions:
     unit: str | None = option(
         None,
         metavar="UNIT",
-        help="Unit of its lengths: m, cm, mm, or a length such as 24mm. Default: the format's, m of most.",
+        help="Unit of its lengths: m, cm, mm, or a length such as 24mm. Default: that of the format, usually m.",
     )
     fisheye: bool = option(False, "--fisheye", help="The lenses of an OpenCV file are fisheye.")
     cameras: str | None = option(
         None, metavar="L,R", help="Numbers of the left and right camera in a KITTI file. Default: 2,3."
     )
     alpha: float | None = option(
-        None, metavar="SHARE", min=0, max=1, help="0: keep only what both images show; 1: keep all. Default: 0."
+        None, metavar="SHARE", min=0, max=1, help="0: keep only pixels with image content; 1: keep all. Default: 0."
     )
 
     def settings(self) -> dict[str, Any]:
@@ -208,11 +208,13 @@ class CodingOptions:
     """Naming and coding of maps from other programs."""
 
     pattern: list[str] | None = option(
-        None, metavar="PATTERN", help="Path of a map, '{scene}/a.tiff'. Of one run: NAME=..."
+        None, metavar="PATTERN", help="Path of a map, '{scene}/a.tiff'. For one run: NAME=..."
     )
-    scale: list[str] | None = option(None, metavar="CODES", help="Codes per unit of integer maps. Of one run: NAME=...")
+    scale: list[str] | None = option(
+        None, metavar="CODES", help="Codes per unit of integer maps. For one run: NAME=..."
+    )
     invalid: list[str] | None = option(
-        None, metavar="VALUE", help="Value of maps that means none, or nan. Of one run: NAME=..."
+        None, metavar="VALUE", help="Number that means no value, or nan. For one run: NAME=..."
     )
 
 
@@ -223,15 +225,17 @@ class FrameOptions(SceneOptions):
     single_files: ClassVar[str] = "--color FILE and --depth FILE"
 
     color: Path | None = option(None, metavar="FILE", help="Color image, instead of --input.")
-    depth: Path | None = option(None, metavar="FILE", help="Depth map, registered to --color if given.")
+    depth: Path | None = option(None, metavar="FILE", help="Depth map; if --color is given, registered to it.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthOptions:
     """Options for reading the depth of sensors, and for output besides the refined map."""
 
-    depth_scale: float | None = option(None, metavar="CODES", help="Codes a meter of the depth files.")
-    intrinsics: str | None = option(None, metavar="NUMBERS", help="Of the color camera, pixels: fx,fy,cx,cy.")
+    depth_scale: float | None = option(None, metavar="CODES", help="Codes per meter in the depth files.")
+    intrinsics: str | None = option(
+        None, metavar="NUMBERS", help="Intrinsics of the color camera, pixels: fx,fy,cx,cy."
+    )
     ply: bool = option(False, "--ply", help="Also write a colored point cloud of every frame.")
     mask: str | None = option(None, metavar="WHICH", help="Pixels of clouds: measured, all, confident:0.8.")
     near: float | None = option(None, metavar="METERS", help="Nearest depth of point clouds.")
@@ -245,7 +249,7 @@ class DepthOptions:
         help="Share of the errors within bound.pfm. Default: 0.9.",
     )
     within: float | None = option(
-        None, metavar="METERS", help="Error up to which a value is right in probability.pfm. Default: 0.03."
+        None, metavar="METERS", help="Error up to which a value is correct in probability.pfm. Default: 0.03."
     )
 
     def settings(self) -> dict[str, Any]:
@@ -283,12 +287,12 @@ class RunOptions(Printing):
         ),
     ] = NOWHERE  # fmt: skip
     overwrite: bool = option(False, "--overwrite", help="Replace an earlier run that had another config.")
-    keep: str | None = option(None, metavar="NAMES", help="Files kept, as disp_left.pfm,status.png. Default: all.")
+    keep: str | None = option(None, metavar="NAMES", help="Files to keep, disp_left.pfm,status.png. Default: all.")
     jobs: str = option(
-        "auto", "--jobs", "-j", metavar="N", help="Scenes at a time, each in a process; auto: what finishes first."
+        "auto", "--jobs", "-j", metavar="N", help="Scenes at a time, each in a process; auto: the fastest number."
     )
     threads: int | None = option(
-        None, metavar="N", min=1, max=1024, help="Threads of a process. Default: cores / --jobs."
+        None, metavar="N", min=1, max=1024, help="Threads per process. Default: cores / --jobs."
     )
     max_memory: str | None = option(None, metavar="SIZE", help="Memory to use, such as 2GiB. Default: all free.")
     shard: str | None = option(None, metavar="I/N", help="Compute part I of N. Default: from Slurm.")
@@ -355,23 +359,23 @@ class SampleOptions:
     seed: int = option(0, metavar="N", min=0, max=2**31 - 1, help="Seed of the first scenes.")
     width: int = option(400, metavar="N", min=16, max=8192, help="Width, pixels.")
     height: int = option(300, metavar="N", min=16, max=8192, help="Height, pixels.")
-    max_disparity: int = option(48, metavar="N", min=4, max=4096, help="At most width / 2.")
+    max_disparity: int = option(48, metavar="N", min=4, max=4096, help="Largest disparity, at most width / 2.")
     noise: float = option(0.0, metavar="LEVELS", min=0, max=100, help="Standard deviation of noise, in levels.")
     radiometric: float = option(0.0, metavar="SHARE", min=0, max=1, help="Change of light in the right image.")
     brightness: float = option(1.0, metavar="SHARE", min=0, max=1, help="Factor on all levels; 0.08: a night scene.")
     wall_contrast: float = option(1.0, metavar="SHARE", min=0, max=1, help="Texture of the walls, 0 (bare) to 1.")
     real: bool = option(False, "--real", help="A real pair with ground truth: Motorcycle of Middlebury 2014.")
-    cross_modal: bool = option(False, "--cross-modal", help="Right image as an infrared camera's.")
+    cross_modal: bool = option(False, "--cross-modal", help="Right image like one of an infrared camera.")
     kinect: bool = option(False, "--kinect", help="Color, and depth as a Kinect measures it.")
     registration: bool = option(False, "--registration", help="Volumes with a known smooth registration error.")
     transparent: bool = option(False, "--transparent", help="Transparent objects, with sparse depth.")
     speckles: float = option(0.0, metavar="SHARE", min=0, max=1, help="Share of the right pixels with a dot.")
     frames: int = option(10, metavar="N", min=0, max=100_000, help="Frames of a sequence; 0: none.")
-    fattening: int = option(4, metavar="PIXELS", min=0, max=64, help="How far foreground is widened.")
+    fattening: int = option(4, metavar="PIXELS", min=0, max=64, help="Pixels by which foreground is widened.")
     share: float = option(0.02, metavar="SHARE", min=0, max=1, help="Share of the pixels with sparse depth.")
-    outliers: float = option(0.1, metavar="SHARE", min=0, max=1, help="Share of it that is wrong.")
+    outliers: float = option(0.1, metavar="SHARE", min=0, max=1, help="Share of the sparse depth that is incorrect.")
     at_edges: bool = option(False, "--at-edges", help="Sparse depth along edges of color only.")
-    from_: Path | None = option(None, "--from", metavar="DIR", help="Make them from the scenes of this folder instead.")
+    from_: Path | None = option(None, "--from", metavar="DIR", help="Make them from the scenes in this folder.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -406,7 +410,7 @@ class MapOptions(CalibrationOptions):
     baseline: float | None = option(None, metavar="METERS", min=1e-9, help="Distance of the cameras, with --focal.")
     doffs: float | None = option(None, metavar="PIXELS", help="x of the right principal point minus the left one's.")
     scale: float | None = option(None, metavar="CODES", min=1e-6, help="Codes per pixel of a single map.")
-    invalid: float | None = option(None, metavar="VALUE", help="Value of a single map that means none, or nan.")
+    invalid: float | None = option(None, metavar="VALUE", help="Number in a single map that means no value, or nan.")
 
 
 @dataclass(frozen=True, kw_only=True)

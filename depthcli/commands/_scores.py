@@ -35,7 +35,7 @@ def evaluated(
     options: RunOptions,
     source: SceneOptions | None,
 ) -> EvaluationReport:
-    """Compare scenes with their truth, and write the page of these and of the others; no results without truth."""
+    """Compare scenes with their ground truth, and write the page; it also shows scenes without ground truth."""
     reporter, conditions = options.reporter, options.conditions
     output, truth = options.output / EVALUATION, source.input if source is not None else None
     in_folder = truth is not None and os.path.isdir(local(truth))  # pairs of a table have no ground truth

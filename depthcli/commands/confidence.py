@@ -1,9 +1,9 @@
-"""Estimate how wrong given disparity maps may be.
+"""Estimate the errors of given disparity maps.
 
-Every pixel gets a bound of its error, and the probability of a small one.
+Every pixel gets an error bound, and the probability that its error is small.
 
-Maps are found as evaluate finds them: run folders of ours, PFM, PNG, npy and TIFF files of other programs. --share 0.8
-leaves the surest 80 % of the pixels in disp_left.
+Maps are found in the same way as by evaluate: in run folders of depthcli, or as PFM, PNG, npy and TIFF files of other
+programs. --share 0.8 keeps the most certain 80 % of the pixels in disp_left.
 
 Examples:
   depthcli confidence -i scenes --maps runs/raft -o sure --evaluate
@@ -31,7 +31,7 @@ def confidence(
     pairs: PairOptions,
     run: ScoredRunOptions,
     coding: CodingOptions,
-    maps: Annotated[str, Option(metavar="RUN", help="Run folder, or map, that is judged; NAME=DIR names it.")],
+    maps: Annotated[str, Option(metavar="RUN", help="Run folder or map to judge; NAME=DIR names it.")],
     witness: Annotated[
         list[str] | None, Option(metavar="RUN", help="Run folder with maps of another method; repeatable.")
     ] = None,
@@ -44,10 +44,10 @@ def confidence(
     ] = None,
     share: Annotated[
         float | None,
-        Option(metavar="SHARE", min=1e-6, max=1, help="Share of the pixels in disp_left, the surest ones."),
+        Option(metavar="SHARE", min=1e-6, max=1, help="Share of the pixels to keep in disp_left, the most certain."),
     ] = None,
     threshold: Annotated[
-        float | None, Option(metavar="P", min=0, max=1, help="Smallest probability of a pixel in disp_left.")
+        float | None, Option(metavar="P", min=0, max=1, help="Smallest probability of pixels to keep in disp_left.")
     ] = None,
 ) -> int:
     """Judge the map of every scene; ``--share`` and ``--threshold`` remove unreliable pixels from disp_left."""

@@ -37,7 +37,7 @@ def evaluate(
     printing: Printing,
     tables: TableOptions,
     runs: Annotated[list[str], Argument(metavar="RUN...", help="Run folders or maps; NAME=DIR gives a run a name.")],
-    truth: Annotated[Path, Option(metavar="DIR", help="Folder with ground truth; of a single map, a file.")],
+    truth: Annotated[Path, Option(metavar="DIR", help="Folder with ground truth; for a single map, a file.")],
     output: Annotated[
         Path | None,
         Option("--output", "-o", metavar="DIR", help="Folder for scores, pictures and report.", callback=local_output),
@@ -54,9 +54,12 @@ def evaluate(
     resolution: Annotated[
         str | None, Option(metavar="F|H|Q", help="Size of Middlebury v3's truth. Default: by the width.")
     ] = None,
-    resize: Annotated[str | None, Option(metavar="WxH", help="Bring depth maps and truth to this size.")] = None,
+    resize: Annotated[
+        str | None, Option(metavar="WxH", help="Resize depth maps and ground truth to this size.")
+    ] = None,
     threshold: Annotated[
-        float | None, Option(metavar="T", min=1e-6, help="Threshold of wrong pixels. Default: the benchmark's.")
+        float | None,
+        Option(metavar="T", min=1e-6, help="Error above which a pixel is incorrect. Default: the benchmark's."),
     ] = None,
     compare: Annotated[
         str, Option(metavar="best|all", help="Test the runs against the best, or all pairs of them.")

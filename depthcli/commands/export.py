@@ -1,6 +1,6 @@
 """Check the maps of a run and pack them for a benchmark.
 
-All that is wrong with the maps is reported together, and nothing is written then.
+If there are problems with the maps, all are reported together, and nothing is written.
 
 Examples:
   depthcli export runs/accurate --for eth3d --method accurate -o eth3d.zip
@@ -35,16 +35,16 @@ _MAX_NAMED = 12  # scenes to name in one message, to keep it within a few lines
 
 def export(
     printing: Printing,
-    run: Annotated[Path, Argument(metavar="RUN", help="Run folder, or a folder of others' maps.")],
+    run: Annotated[Path, Argument(metavar="RUN", help="Run folder, or folder with maps of another program.")],
     for_: Annotated[str, Option("--for", metavar="BENCHMARK", help="middlebury-v3, kitti-2012, kitti-2015 or eth3d.")],
     method: Annotated[str, Option(metavar="NAME", help="Name of the method at the benchmark.")],
     output: Annotated[
         Path, Option("--output", "-o", metavar="FILE.zip", help="The archive to write.", callback=local_output)
     ],
     split: Annotated[str | None, Option(metavar="SPLIT", help="Only the training or only the test scenes.")] = None,
-    sparse: Annotated[bool, Option("--sparse", help="Submit maps with holes as sparse ones (Middlebury).")] = False,
+    sparse: Annotated[bool, Option("--sparse", help="Submit maps with holes as sparse maps (Middlebury).")] = False,
     seconds: Annotated[
-        float | None, Option(metavar="S", min=0.0, help="Run time of every scene, where the run has no report.")
+        float | None, Option(metavar="S", min=0.0, help="Run time per scene, if the run has no report.")
     ] = None,
     overwrite: Annotated[bool, Option("--overwrite", help="Replace the archive.")] = False,
 ) -> int:

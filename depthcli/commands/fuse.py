@@ -1,7 +1,7 @@
 """Fuse several cost measures, or given maps.
 
-With the name maps in place of a config, disparity maps of any programs are fused pixel by pixel; they are found as
-evaluate finds them. One alone is completed and corrected.
+If the config is the word maps, disparity maps of any programs are fused pixel by pixel. They are found in the same way
+as by evaluate. A single map is filled and corrected.
 
 Examples:
   depthcli fuse accurate --input scenes --output runs/fused --evaluate

@@ -35,12 +35,12 @@ def presets(
         str | None,
         Argument(
             metavar="show|compile",
-            help="To print one preset, or compile the kernels of some; or a command, or thesis, to list its presets.",
+            help="show: print a preset; compile: compile kernels; a command, or thesis: list its presets.",
         ),
     ] = None,
     names: Annotated[
         list[str] | None,
-        Argument(metavar="NAME...", help="The preset: NAME, or COMMAND/NAME; to compile: also 'stereo/*'."),
+        Argument(metavar="NAME...", help="Preset, as NAME or COMMAND/NAME; for compile also 'stereo/*'."),
     ] = None,
 ) -> int:
     """Print the list or the preset, or compile kernels; return the exit code."""

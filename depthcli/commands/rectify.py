@@ -1,7 +1,6 @@
 """Rectify image pairs, with or without a calibration.
 
-For every scene the rectified pair is written, its calibration as calib.txt, and the search range that matched key
-points suggest.
+Each scene gets the rectified pair, its calibration calib.txt, and the search range that matched key points suggest.
 
 Examples:
   depthcli rectify --input photos --calibration stereo.yaml --output rectified

@@ -32,7 +32,7 @@ def refine_kinect(
     depths: DepthOptions,
     set: SetOption = None,
     depth_intrinsics: Annotated[
-        str | None, Option(metavar="NUMS", help="Of the depth camera, if not registered.")
+        str | None, Option(metavar="NUMS", help="Intrinsics of the depth camera, if not registered.")
     ] = None,
 ) -> int:
     """Refine single frames, or sequences if the method carries state from frame to frame."""

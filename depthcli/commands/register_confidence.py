@@ -46,7 +46,7 @@ def register_confidence(
     ] = None,
     within: Annotated[
         float | None,
-        Option(metavar="MM", help="Error up to which a voxel is right in the volume probability. Default: 3."),
+        Option(metavar="MM", help="Error up to which a voxel is correct in the volume probability. Default: 3."),
     ] = None,
     neurological: Annotated[
         bool, Option("--neurological", help="Show the patient's right on the right in pictures.")

@@ -1,7 +1,7 @@
 """Write scenes with ground truth, generated or real.
 
-By default the scenes are stereo pairs. Options of another kind of scenes are errors. ``--real`` downloads nothing: the
-pair is part of scikit-image.
+By default the scenes are stereo pairs. Options for another kind of scene are rejected. ``--real`` downloads nothing:
+the pair is part of scikit-image.
 
 Examples:
   depthcli sample --real --output real

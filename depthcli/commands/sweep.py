@@ -1,6 +1,6 @@
 """Run a config with many settings; compare the results.
 
-Every combination has a run folder of its own, and so have the config's own values where no combination has them.
+Every combination has its own run folder. The config's own values are also run, unless a combination has them.
 Finished runs are kept when a sweep is repeated or extended.
 
 Examples:

@@ -10,7 +10,7 @@ class Bound(ConfigModel):
 
     level: float = Field(default=0.9, ge=0.5, le=0.99, description="share of the errors that are within the bound")
     within: float = Field(
-        default=1.0, ge=0.25, le=8, description="error up to which a value is right in probability.pfm, pixels"
+        default=1.0, ge=0.25, le=8, description="error up to which a value is correct in probability.pfm, pixels"
     )
 
 
@@ -18,7 +18,7 @@ class DepthBound(Bound):
     """Requirements on a map in meters."""
 
     within: float = Field(
-        default=0.03, ge=0.001, le=1, description="error up to which a value is right in probability.pfm, meters"
+        default=0.03, ge=0.001, le=1, description="error up to which a value is correct in probability.pfm, meters"
     )
 
 
@@ -26,5 +26,5 @@ class VolumeBound(Bound):
     """Requirements on a registration of volumes, in mm."""
 
     within: float = Field(
-        default=3.0, ge=0.5, le=50, description="error up to which a voxel is right in the volume probability, mm"
+        default=3.0, ge=0.5, le=50, description="error up to which a voxel is correct in the volume probability, mm"
     )

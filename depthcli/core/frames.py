@@ -164,9 +164,9 @@ class RgbdFrame:
 class SparseFrame(RgbdFrame):
     """A frame with a second, sparse depth from another source, for surfaces that the sensor misses or sees through.
 
-    ``sparse``, (H, W) float32, meters, NaN = none, is registered to ``color``; its confidence is higher where it is
-    surer; ``dense`` is the estimate of the same source at every pixel, reliable or not. ``objects``, (H, W) bool, are
-    the pixels of transparent objects, None: not known.
+    ``sparse``, (H, W) float32, meters, NaN = none, is registered to ``color``; its confidence is higher at more
+    reliable samples; ``dense`` is the estimate of the same source at every pixel, reliable or not. ``objects``, (H, W)
+    bool, are the pixels of transparent objects, None: not known.
     """
 
     sparse: NDArray[np.float32] = field(kw_only=True)

@@ -1,4 +1,4 @@
-"""Bounds of the error: whether they keep their promise, P(|error| <= bound) = level, and how sharp they are."""
+"""Error bounds: their coverage, P(|error| <= bound), compared with their level, and their sharpness."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from depthcli.evaluation.scores import ESTIMATED_ONLY, Key, Metric, Score, Tally
 COVERAGE, WORST, COVERING = "bound coverage", "bound coverage, worst map", "bound coverage, maps"
 """Share of pixels inside the bound; smallest share of all maps; share of maps near or above the level."""
 BAD = "bad of surest"
-"""Share of wrong pixels among the pixels of the smallest bounds, whose share is the threshold."""
+"""Share of incorrect pixels among the pixels with the smallest bounds, whose share is the threshold."""
 _SUREST = (100, 90, 80, 50)  # percent of the pixels, smallest bounds first
 _TOLERANCE = 10.0  # percentage points below the level from which on a map covers too little
 
 
 def promised(text: str) -> Bound | None:
-    """Return the promise of a run by the key ``bound`` in the text of its config, or None if there is no such key."""
+    """Return level and limit of a run from the key ``bound`` of its config, or None if there is no such key."""
     for model in (Bound, DepthBound, VolumeBound):
         with contextlib.suppress(ConfigError, KeyError, ValidationError):
             return model.model_validate(parse_config(text, "").data["bound"])
@@ -46,16 +46,16 @@ def judged(
     status: NDArray[np.uint8] | None,
     promise: Bound | None,
 ) -> tuple[list[ConfidenceCurve], list[Score], NDArray[np.bool_] | None]:
-    """Return the curves of a map's confidences, the scores of its bound, and True where the truth is outside it.
+    """Return the curves of a map's confidences, the scores of its bound, and a mask of errors beyond the bound.
 
-    A value without a bound is outside. Regions are the truth's regions, and ``said NAME`` by the map's status. The
-    bound has a curve, too. For the confidence ``PROBABILITY``, a value is correct if its error is within the run's
-    promise.
+    A value without a bound exceeds it. Regions are the regions of the ground truth, and ``said NAME`` for each status
+    of the map. The bound has a curve, too. For the confidence ``PROBABILITY``, a value is correct if its error is
+    within the run's limit.
 
     Parameters
     ----------
-    bound : of the regions' shape, in the unit of the run's maps; None: the map has none
-    promise : of the run; None: the default level, and the protocol's threshold of a correct value
+    bound : array of the regions' shape, in the unit of the run's maps; None: the map has no bound
+    promise : level and limit of the run; None: the default level, and the protocol's threshold
     """
     curves = protocol.curves(estimate, truth, {**confidences, **({} if bound is None else {"bound": -bound})})
     if bound is None and PROBABILITY not in confidences:
@@ -84,7 +84,7 @@ def judged(
 def bound_scores(
     tally: Tally, bound: NDArray[np.floating[Any]], wrong: NDArray[np.bool_], level: float, unit: str
 ) -> list[Score]:
-    """Return coverage, median, sharpness, and wrong pixels among the surest, of one region; nothing without a value.
+    """Return coverage, median, sharpness, and incorrect pixels among the most certain, of one region with values.
 
     Open bounds are left out of the coverage, which is NaN if all are open or the region is empty. The sharpness is the
     mean of the finite bounds over the smallest constant bound that covers as many of their pixels. If this constant is
@@ -130,7 +130,7 @@ def bound_scores(
 
 
 def bound_means(maps: Sequence[Sequence[Score]]) -> list[Score]:
-    """Return the means over the scores of several maps, which weigh alike, with the worst coverage and who covers."""
+    """Return the means over the scores of several maps, all of one weight, with the worst coverage."""
     groups: dict[Key, list[Score]] = {}
     for score in itertools.chain(*maps):
         groups.setdefault(score.key, []).append(score)

@@ -21,9 +21,9 @@ from depthcli.run.flags import Flags
 class Section:
     """The results of one data set under one protocol; every run has a result for every scene.
 
-    The mean over all scenes (``MEAN``) counts a scene without a map as wholly wrong. The mean over the common scenes
-    (``COMMON_MEAN``), of which every run has a map, compares what was computed, as ranks do. A mean in one region is
-    over the scenes that have truth in it.
+    The mean over all scenes (``MEAN``) counts all pixels of a scene without a map as incorrect. The mean over the
+    common scenes (``COMMON_MEAN``), of which every run has a map, compares computed maps only, and so do ranks. A mean
+    in one region is over the scenes that have ground truth in it.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Section:
     places : the means that differ, ``MEAN`` first
     regions : names of the regions, in the protocol's order; the first is the main region
     keys : all pairs of metric and region that have a score
-    known : region -> scenes whose truth is known somewhere in it
+    known : region -> scenes with known ground truth in it
     scores : (run, scene or mean) -> (metric, region) -> score
     figure_regions : regions that enter the single figure of a run: regions of the protocol that all scenes have, so
         that every scene counts alike; if there are none, the main region
@@ -106,7 +106,7 @@ class Section:
 
     @cached_property
     def by_scene(self) -> dict[str, list[float]]:
-        """Run -> single figure of every scene, lower is better: signed; NaN if there is no map."""
+        """Run -> single figure of every scene, with a sign that makes lower values better; NaN if there is no map."""
         figures: dict[str, list[float]] = {run: [] for run in self.runs}
         for run, values in figures.items():
             for scene in self.scenes:
@@ -144,7 +144,7 @@ class Section:
             where = {"run": run, "data_set": self.data_set, "protocol": self.protocol.name}
             for key in self.scores[run, MEAN]:
                 counts = self.counts(run, key[1])
-                missing = f", {counts['missing']} missing ones counted as wholly wrong" if counts["missing"] else ""
+                missing = f", {counts['missing']} missing, all their pixels incorrect" if counts["missing"] else ""
                 for place, note in (
                     (MEAN, f"over {counts['scenes']} scenes{missing}"),
                     (COMMON_MEAN, f"over the {counts['common']} scenes that all runs have"),
@@ -204,7 +204,7 @@ class EvaluationReport:
 
     @property
     def incomplete(self) -> bool:
-        """Tell whether maps, truth, the page or the sheet are missing, so that the command ends with exit code 3."""
+        """Whether maps, ground truth, the page or the sheet are missing; the command then ends with exit code 3."""
         return bool(self.failed or self.unwritten)
 
     @property
@@ -213,10 +213,10 @@ class EvaluationReport:
         return [result for result in self.results if result.error]
 
     def warnings(self, together: bool = False, with_reports: bool = True) -> list[str]:
-        """Return what looks wrong with the scenes and maps, one line each.
+        """Return warnings about scenes and maps, one line each.
 
-        ``together``: one line for warnings of a run that differ in numbers and scenes alone. ``with_reports=False``
-        leaves out warnings of the runs' own reports.
+        ``together``: print one line for warnings of a run that differ only in numbers and scenes.
+        ``with_reports=False`` leaves out warnings of the runs' own reports.
         """
         lines = [*self.hints]
         for section in self.sections:

@@ -1,4 +1,4 @@
-"""How good a confidence is: sparsification curves, and whether probabilities and masks of hidden pixels are right.
+"""Quality of confidences: sparsification curves, calibration of probabilities, and scores of masks of hidden pixels.
 
 A sparsification curve is the error of the most confident pixels against their share.
 """
@@ -26,10 +26,10 @@ N_BINS = 20
 class Sparsification:
     """A sparsification curve and its areas; the errors are error rates in [0, 1], or lengths.
 
-    Areas are integrals over the whole range of shares, (0, 1], of the exact curve, so that a perfect ranking
-    has exactly the optimal one. For error rates that is e + (1 - e) ln(1 - e) (Hu & Mordohai, PAMI 2012). Beside
-    them the trapezoid over the shares of ``PERCENTAGES`` alone, the figure of LAF-Net's program and of the survey of
-    Poggi et al. (PAMI 2021): compare it only with an optimum that was computed the same way.
+    Areas are integrals over the whole range of shares, (0, 1], of the exact curve, so that a perfect ranking has
+    exactly the optimal one. For error rates that is e + (1 - e) ln(1 - e) (Hu & Mordohai, PAMI 2012). The trapezoid
+    over the shares of ``PERCENTAGES`` is given, too: the program of LAF-Net and the survey of Poggi et al. (PAMI 2021)
+    use it. Compare it only with an optimum that was computed in the same way.
     """
 
     percentages: tuple[int, ...]
@@ -75,7 +75,7 @@ def sparsifications(
     Parameters
     ----------
     confidences : (N,) higher is more confident, +inf the most; NaN less confident than any number
-    errors : (N,) bool, wrong or right; or float, absolute errors
+    errors : (N,) bool, True = incorrect; or float, absolute errors
     """
     shapes = {array.shape for array in (*confidences.values(), *errors.values())}
     if any(len(shape) != 1 or not shape[0] for shape in shapes) or len(shapes) > 1:
@@ -122,7 +122,7 @@ def _curve(group: NDArray[np.intp], error: NDArray[np.float64]) -> tuple[NDArray
 
 @dataclass(frozen=True)
 class Reliability:
-    """How often pixels of a confidence are right, in ``N_BINS`` bins of confidences from 0 to 1."""
+    """The share of correct pixels in ``N_BINS`` bins of confidences from 0 to 1."""
 
     pixels: tuple[int, ...]
     confidence: tuple[float, ...]  # mean of every bin; NaN where it is empty
@@ -130,7 +130,7 @@ class Reliability:
 
     @property
     def ece(self) -> float:
-        """Expected calibration error: mean over the pixels of |confidence - share right| of their bins, 0 .. 1."""
+        """Expected calibration error: mean over pixels of |confidence - share correct| of their bins, 0 .. 1."""
         total = sum(self.pixels)
         if not total:
             return math.nan
@@ -139,7 +139,7 @@ class Reliability:
 
     @classmethod
     def of_sums(cls, counts: NDArray[np.int64], confidence: NDArray[Any], right: NDArray[Any]) -> Reliability:
-        """Return the reliability, given each bin's pixels and sums of confidences and right pixels, (N_BINS,) each."""
+        """Return the reliability from each bin's pixels, sum of confidences and correct pixels, (N_BINS,) each."""
         with np.errstate(invalid="ignore"):
             means = (tuple((total / counts).tolist()) for total in (confidence, right))
             return cls(tuple(counts.tolist()), *means)
@@ -152,7 +152,7 @@ class Reliability:
 
 
 def is_probability(name: str) -> bool:
-    """Return whether a confidence map is meant as the probability to be right, by its name.
+    """Return whether the name of a confidence map means the probability of being correct.
 
     The name is ``confidence``, of ``confidence.pfm``, or has the word ``probability``. Other measures are no
     probabilities, even if their values are within 0 .. 1.
@@ -161,7 +161,7 @@ def is_probability(name: str) -> bool:
 
 
 def reliability(confidence: NDArray[Any], right: NDArray[np.bool_]) -> Reliability | None:
-    """Compute how often pixels are right, (N,) bool, by their confidence, (N,) float.
+    """Compute the reliability of confidences, (N,) float, of pixels that are correct or not, (N,) bool.
 
     Return None if there is no pixel, or if the confidences are no probabilities: not all are within 0 .. 1.
     """
@@ -178,7 +178,7 @@ class ConfidenceCurve:
 
     region: str
     confidence: str
-    of: str  # ``bad``, the share of wrong pixels, or ``error``, the mean absolute error
+    of: str  # ``bad``, the share of incorrect pixels, or ``error``, the mean absolute error
     line: Sparsification
     reliability: Reliability | None = None  # of ``bad``; None where the confidence is no probability
 
@@ -191,7 +191,7 @@ class ConfidenceCurve:
 
 
 class HiddenPixels(NamedTuple):
-    """Counts of pixels that a map marks as hidden from the right view, against the ground truth."""
+    """Counts of pixels that a map marks as hidden from the right view, compared with the ground truth."""
 
     both: int  # marked as hidden, and hidden in truth
     marked: int
@@ -217,7 +217,7 @@ class HiddenPixels(NamedTuple):
 
 
 def hidden_pixels(status: NDArray[np.uint8], regions: Mapping[str, NDArray[np.bool_]]) -> HiddenPixels | None:
-    """Compare the pixels that a status map marks as hidden from the right view with ``all`` without ``nonocc``.
+    """Compare the pixels that a status map marks as hidden with the pixels of ``all`` outside ``nonocc``.
 
     Return None if the truth is unknown, no pixel is hidden, or the status has another size.
     """

@@ -1,4 +1,4 @@
-"""Scoring of runs against scenes with ground truth: find their maps, score them, write pictures and a report."""
+"""Scoring of runs: find their maps, compare them with ground truth, write pictures and a report."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def scenes_with_truth(
     reporter: Reporter | None = None,
     maps: Iterable[Path] = (),
 ) -> list[Scene]:
-    """Return the scenes of a folder that have ground truth, or cannot be used; or the scene of one file of it.
+    """Return the scenes of a folder that have ground truth or cannot be used; or the scene of a single file.
 
     Raise InputError if no scene has ground truth.
 
@@ -65,7 +65,7 @@ def scenes_with_truth(
     ----------
     patterns : shell patterns of scene names
     layout : layout of the folder; None recognizes it
-    protocol : by which all are scored, and their kind follows; None: by the protocol of every scene
+    protocol : protocol that scores all scenes and decides on their kind; None: the protocol of each scene
     maps : files compared with the truth; a name can show that both are depth
     """
     settings, reporter = settings or Settings(), reporter or Reporter(-1)
@@ -128,7 +128,7 @@ class Viewer:
         self.folder = folder
 
     def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
-        """Begin a scene, to which the maps that follow belong; ``truth`` is what ``protocol.truth(scene)`` returned."""
+        """Begin a scene; the maps that follow belong to it. ``truth`` is the result of ``protocol.truth(scene)``."""
 
     def add_map(self, scored: ScoredMap) -> None:
         """Add one run's map to the scene."""
@@ -160,14 +160,14 @@ def evaluate_runs(
 ) -> EvaluationReport:
     """Evaluate runs side by side and write scores, pictures and a report.
 
-    Written to ``output``, all at the end: ``scores.csv``, ``scores.json``, ``errors`` and
-    ``bounds/<run>/<scene>.png``, ``points/<run>/<scene>.csv``, the files of ``viewers``, and ``record.json``, by which
-    the next evaluation knows which files it may replace.
+    These files are written to ``output`` at the end: ``scores.csv``, ``scores.json``, ``errors`` and
+    ``bounds/<run>/<scene>.png``, ``points/<run>/<scene>.csv``, the files of ``viewers``, and ``record.json``, which
+    tells the next evaluation which files it may replace.
 
     Parameters
     ----------
-    runs : folders of maps; or maps, if there is a single scene; ``NAME=PLACE`` names one
-    scenes : scenes found in ``truth``, with ground truth or with a reason why they cannot be used
+    runs : folders of maps; for a single scene also maps; ``NAME=PLACE`` gives a run a name
+    scenes : the scenes, each with ground truth or with a reason why it cannot be used
     output : folder for the results; None: nothing is written
 
     Raises

@@ -100,7 +100,7 @@ class DisparityFiles(MapFiles):
     other_places: tuple[str, ...] = ("{scene}/disp0METHOD.pfm",)
 
     def candidates(self, folder: Path, scene: str) -> Iterator[Path]:
-        """Yield also result files of the Middlebury v3 kit: ``disp0METHOD.pfm``, then ``disp0METHOD_s.pfm``."""
+        """Also yield result files of the Middlebury v3 kit: ``disp0METHOD.pfm``, then ``disp0METHOD_s.pfm``."""
         yield from super().candidates(folder, scene)
         inside = folder / scene
         kit = sorted(path for path in inside.glob("disp0*.pfm") if not path.stem.startswith("disp0GT"))
@@ -113,7 +113,7 @@ class DisparityFiles(MapFiles):
 
 @dataclass(frozen=True)
 class MapNaming:
-    """How the maps of one run are named and coded, as far as that was given; None: as for all runs."""
+    """Options for the names and codes of one run's maps; None: the option for all runs."""
 
     # Path of the map of ``{scene}`` in the run folder, with its ending or ``.*``; empty: the protocol's.
     pattern: str = ""
@@ -122,7 +122,7 @@ class MapNaming:
     any_scale: bool = False  # ``scale`` was given for this run, and applies to files of any kind
 
     def over(self, other: MapNaming) -> MapNaming:
-        """Return these settings, completed by the other ones."""
+        """Return these options, with missing ones from the others."""
         invalid = other.invalid if self.invalid is None else self.invalid
         any_scale = self.any_scale or (self.scale is None and other.any_scale)
         return MapNaming(self.pattern or other.pattern, self.scale or other.scale, invalid, any_scale)
@@ -156,7 +156,7 @@ def find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
 
 
 def run_names(places: Sequence[Path]) -> list[str]:
-    """Return different names of folders or files, with as few parents as possible. Raise InputError if two are one."""
+    """Return distinct names of folders or files, with few parents. Raise InputError if two are the same."""
     parts = [place.resolve().parts for place in places]
     for depth in range(1, max(map(len, parts), default=0) + 1):
         names = ["_".join(p[-depth:]).strip("/") or "run" for p in parts]
@@ -185,12 +185,12 @@ def recognized(
     scenes: Mapping[str, tuple[MapFiles, Sequence[str]]],
     fits: Callable[[str, Path, MapNaming], bool],
 ) -> MapNaming:
-    """Return the options with the pattern of a run's maps, which is recognized if no map is in a usual place.
+    """Return the options with the pattern of a run's maps. It is recognized if no map is in a usual place.
 
     A pattern is the path of a file in the folder with ``{scene}`` in place of the scene's name, such as
-    ``{scene}/out/{scene}_final.pfm``. Left out are files whose name contains no scene, and files whose name says that
-    they are no such map (``confidence.pfm``, ``right.png``). If several patterns are equally frequent, the one whose
-    files can be read is taken. Raise InputError, which lists files and a ``--pattern``, if this is not exactly one.
+    ``{scene}/out/{scene}_final.pfm``. Files are left out if their name contains no scene, or shows that they are no
+    such map (``confidence.pfm``, ``right.png``). If several patterns are equally frequent, the one whose files can be
+    read is taken. Raise InputError, which lists files and a ``--pattern``, if this is not exactly one.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Scores: single numbers with their conventions, and the results of one map.
 
-Benchmarks define errors differently, and above all treat missing values differently. A :class:`Score` therefore has
+Benchmarks define errors in different ways, and most of all differ in missing values. A :class:`Score` therefore has
 its region, denominator and density, and its :class:`Metric` the threshold and the convention.
 """
 
@@ -50,7 +50,7 @@ class Metric:
 
     @property
     def sign(self) -> int:
-        """Factor that makes lower values the better ones."""
+        """Factor that makes lower values better."""
         return -1 if self.larger_is_better else 1
 
 
@@ -67,7 +67,7 @@ class Score:
     value: float  # NaN where the region has no pixel to take it over
     pixels: int  # denominator: number of pixels (points, voxels) that the value is taken over
     density: float  # percentage of the region's known pixels where the map has a value; NaN for an empty region
-    wrong: int | None = None  # number of wrong pixels, or None where the metric counts none
+    wrong: int | None = None  # number of incorrect pixels, or None if the metric counts none
     region_pixels: int = 0  # number of the region's pixels with known truth, which weighs densities
 
     @property
@@ -108,7 +108,7 @@ class Tally:
         return Score(metric, self.region, share, wrong.size, self.density, n_wrong, self.error.size)
 
     def number(self, metric: Metric, value: float, pixels: int) -> Score:
-        """Return the score of a metric that counts no wrong pixels."""
+        """Return the score of a metric that counts no incorrect pixels."""
         return Score(metric, self.region, value, pixels, self.density, region_pixels=self.error.size)
 
     def means(self) -> list[Score]:
@@ -132,7 +132,7 @@ class Tally:
 
 
 def percent(part: int, whole: int) -> float:
-    """Return ``part`` as a percentage of ``whole``; NaN where that is 0."""
+    """Return ``part`` as a percentage of ``whole``; NaN if ``whole`` is 0."""
     return 100.0 * part / whole if whole else math.nan
 
 
@@ -144,7 +144,7 @@ def float_sum(values: NDArray[np.float32]) -> float:
 def find_score(
     scores: Sequence[Score], metric: str, region: str, threshold: float | None = None, convention: str | None = None
 ) -> Score:
-    """Return the one score of that metric, region and, where given, threshold and convention; KeyError if not one."""
+    """Return the score of a metric, region and, if given, threshold and convention; KeyError unless one matches."""
     fitting = [
         s
         for s in scores
@@ -183,7 +183,7 @@ _COLUMNS = "run data_set scene protocol metric threshold mask value unit wrong p
 
 
 def record(where: Mapping[str, str], score: Score | None, source: str = "", note: str = "") -> dict[str, Any]:
-    """Return one number of an evaluation as a row of ``scores.csv``, empty where there is nothing to write.
+    """Return one number of an evaluation as a row of ``scores.csv``; cells without a value are empty.
 
     ``where`` has ``run``, ``data_set``, ``scene`` (or a mean) and ``protocol``, ``source`` is the map's path inside the
     run folder. Without a score, the note has the reason.
@@ -200,7 +200,7 @@ def record(where: Mapping[str, str], score: Score | None, source: str = "", note
 
 @dataclass(frozen=True)
 class MapResult:
-    """One map of one run against the truth of one scene, or the reason why there is none."""
+    """The result of one run on one scene, or the reason why there is none."""
 
     run: str
     scene: str
@@ -222,7 +222,7 @@ class MapResult:
 
     @property
     def times(self) -> dict[str, float]:
-        """Seconds of the scene, of a megapixel, and of 10^9 pixels x disparities; NaN where unknown."""
+        """Seconds per scene, per megapixel, and per 10^9 pixels x disparities; NaN if unknown."""
         work = {"seconds": (1.0, 1), "s/MP": (1e6, self.size), "s/GD": (1e9, self.size * self.n_disparities)}
         return {heading: unit * self.seconds / n if n else math.nan for heading, (unit, n) in work.items()}
 
@@ -245,7 +245,7 @@ class MapResult:
     def records(self) -> list[dict[str, Any]]:
         """Return the rows of ``scores.csv``: scores, areas of the curves (metric ``AREA:CONFIDENCE:KIND``), failure."""
         where = {"run": self.run, "data_set": self.data_set, "scene": self.scene, "protocol": self.protocol}
-        note = f"missing, counted as wholly wrong: {self.error}" if self.error else self.warning
+        note = f"missing, all pixels count as incorrect: {self.error}" if self.error else self.warning
         rows = [record(where, score, self.source, note) for score in (*self.scores, *self.bounds)]
         for c in self.curves:
             for area, value in c.areas.items():
@@ -275,7 +275,7 @@ class MapResult:
 
 
 def difference(results: Iterable[MapResult], headline: Metric, several: bool) -> float:
-    """Return by how much the headlines of the runs' maps of one scene differ, in the main region.
+    """Return the difference of the runs' headlines on one scene, in the main region.
 
     For ``several`` runs, return the largest headline minus the smallest. For a single run, return its headline, with
     the sign that makes larger values worse. Return -inf if there is no number.

@@ -45,7 +45,7 @@ def ranks(values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
 
 
 def correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Compute Pearson's correlation coefficient; NaN where one of the two does not vary."""
+    """Compute Pearson's correlation coefficient; NaN if one of the two is constant."""
     if len(a) < 2 or np.ptp(a) == 0 or np.ptp(b) == 0:
         return math.nan
     return float(np.corrcoef(a, b)[0, 1])
@@ -64,7 +64,7 @@ def roc_area(score: NDArray[np.float64], positive: NDArray[np.bool_]) -> float:
 
 @dataclass(frozen=True)
 class PairedTest:
-    """Method ``b`` against method ``a`` over the scenes that both have."""
+    """Test of method ``b`` against method ``a`` on the scenes that both have."""
 
     scenes: int  # number of scenes compared
     wins: int  # scenes where b is lower
@@ -81,8 +81,8 @@ class PairedTest:
 def compare(a: Sequence[float], b: Sequence[float]) -> PairedTest:
     """Compare two methods scene by scene; lower is better, pairs with a NaN are left out.
 
-    The p value is exact up to 50 differences, or 10 if some are of one size; beyond, a normal approximation. It is 1
-    below two differences.
+    The p value is exact for up to 50 differences, or up to 10 if some have the same size. For more it is a normal
+    approximation. With fewer than two differences it is 1.
     """
     pairs = [(x, y) for x, y in zip(a, b, strict=True) if not (math.isnan(x) or math.isnan(y))]
     differences = np.array([y - x for x, y in pairs if y != x], np.float64)
@@ -149,7 +149,7 @@ class Ranking:
         self.n_tests = sum(not math.isnan(p) for p in corrected)  # that the p values are corrected for
 
     def is_significant(self, run: str) -> bool:
-        """Return True where a run differs from the best more than chance would do."""
+        """Return whether a run differs significantly from the best."""
         return self.p_values[run] < SIGNIFICANT
 
     def word(self, run: str) -> str:

@@ -38,7 +38,7 @@ def parse_axes(texts: Sequence[str]) -> dict[str, list[str]]:
     Raises
     ------
     ConfigError
-        Not of that form, or the same key or value twice.
+        A text has another form, or a key or value occurs twice.
     """
     axes: dict[str, list[str]] = {}
     for text in texts:
@@ -69,7 +69,7 @@ def parse_axes(texts: Sequence[str]) -> dict[str, list[str]]:
 def combinations(axes: Axes, drawn: int | None = None, seed: int = 0) -> list[Combination]:
     """Return all combinations, the last key changing fastest, or ``drawn`` random ones in the same order.
 
-    A larger ``drawn`` with the same seed gives the same combinations and more, so that a sweep can be extended.
+    With the same seed, a larger ``drawn`` adds combinations to the same ones, so that a sweep can be extended.
     Raise ConfigError if there are too many.
     """
     total = math.prod(map(len, axes.values()))
@@ -109,7 +109,7 @@ def folder_names(axes: Axes, chosen: Sequence[Combination]) -> list[str]:
 
 
 def value_text(config: Mapping[str, Any], key: str) -> str:
-    """Return a resolved config's value of a key as the text that sets it; empty where the config has no such key."""
+    """Return the value of a key in a resolved config as text for ``--set``; empty if there is no such key."""
     value: Any = config
     for part in key.split("."):
         try:
@@ -146,7 +146,7 @@ def compared(section: Section, axes: Axes, tried: Mapping[str, Combination], own
 
 
 def effects(axes: Axes, figures: Mapping[Combination, float], larger_is_better: bool = False) -> list[Row]:
-    """Return the effect of every key on the figure, the strongest first; runs whose figure is NaN are left out.
+    """Return the effect of every key on the figure, the strongest first; runs without a figure are left out.
 
     Returns
     -------

@@ -71,7 +71,7 @@ class CameraPhotos:
 
     @property
     def coverage(self) -> float:
-        """Share of the image's 8 x 6 cells with a corner of a photo in use."""
+        """Share of the image's 8 x 6 cells that contain a corner of a used photo."""
         used = np.concatenate([self.corners[name].pixels for name in self.fit.errors])
         cells = np.floor(used / self.size * _CELLS).astype(int)
         return len({(x, y) for x, y in cells.tolist()}) / (_CELLS[0] * _CELLS[1])

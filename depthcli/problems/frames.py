@@ -60,13 +60,13 @@ class DepthConfig(RootConfig):
     )
     mask: str = Field(
         "measured",
-        description="pixels of point clouds: measured, all, or confident:0.8, the surest 80 % of the measured",
+        description="pixels of point clouds: measured, all, or confident:0.8, the most certain 80 % of the measured",
     )
-    near: float = Field(0.0, ge=0, description="points of clouds are no nearer, meters")
-    far: float = Field(1000.0, gt=0, description="points of clouds are no farther, meters")
-    max_bound: float | None = Field(None, ge=0, description="largest bound of points of clouds, meters; null: any")
+    near: float = Field(0.0, ge=0, description="smallest depth of points in clouds, meters")
+    far: float = Field(1000.0, gt=0, description="largest depth of points in clouds, meters")
+    max_bound: float | None = Field(None, ge=0, description="largest bound of points in clouds, meters; null: any")
     ply: bool = Field(False, description="write a colored point cloud of every frame, too")
-    bound: DepthBound = Field(DepthBound(), description="bound of the errors and probability of a small one")
+    bound: DepthBound = Field(DepthBound(), description="error bound, and probability of a small error")
 
     @property
     def camera(self) -> Intrinsics | None:

@@ -53,7 +53,7 @@ class Calibration(ConfigModel):
         default=0.0,
         ge=0,
         le=1,
-        description="extent of rectified images, from 0: pixels of both images, to 1: all pixels of either",
+        description="extent of rectified images: 0 keeps only pixels with image content, 1 keeps all pixels",
     )
 
     @model_validator(mode="before")

@@ -62,7 +62,7 @@ class RegisterConfidenceConfig(RootConfig):
     command: ClassVar[str] = "register-confidence"
 
     pipeline: Pipeline = Field(RegistrationSearch(), description="the data flow from registered pair to expected error")
-    bound: VolumeBound = Field(VolumeBound(), description="bound of the errors and probability of small ones")
+    bound: VolumeBound = Field(VolumeBound(), description="error bound, and probability of a small error")
     field: str = Field(
         "auto",
         pattern="^(auto|itk|ants|niftyreg|positions|voxels)$",
@@ -71,7 +71,7 @@ class RegisterConfidenceConfig(RootConfig):
     neurological: bool = Field(
         False, description="pictures have the patient's right on the right, otherwise on the left"
     )
-    figure: Literal["dark", "light"] = Field("dark", description="paper of preview.png; light: white, for print")
+    figure: Literal["dark", "light"] = Field("dark", description="background of preview.png; light: white, for print")
     slice_at: tuple[float, float, float] | None = Field(
         None, description="point x, y, z, mm LPS, that the slices of preview.png go through; null: the middle"
     )

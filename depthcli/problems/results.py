@@ -282,7 +282,7 @@ class Disparity(MapRepr, DisparityMap):
         mask: Pixels = "all",
         unit: str | None = None,
     ) -> Depth:
-        """Return the metric depth of the map; its ``bound`` is the larger side, behind the surface, of the map's bound.
+        """Return the metric depth of the map. Its ``bound`` is for errors behind the surface, which are larger.
 
         Raise ConfigError if both or neither of file and numbers are given; raise InputError for a calibration that is
         unusable or for images of another shape.

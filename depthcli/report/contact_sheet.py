@@ -1,4 +1,4 @@
-"""One picture of an evaluation: a row a scene, image above truth and sensor, and every run's map above its errors."""
+"""One picture of an evaluation: a row per scene with image, ground truth, sensor, and maps and errors of all runs."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class ContactSheet(Viewer):
         del self._rows[_MAX_SCENES:]
 
     def write(self, report: EvaluationReport, scores: str, configs: Mapping[str, str]) -> None:
-        """Write the sheet as PNG, if there is something to show."""
+        """Write the sheet as PNG if there are scenes to show."""
         self._choose()
         runs = report.runs[:_MAX_RUNS]
         rows = [row for row in self._rows if row.pictures.keys() & runs]

@@ -1,4 +1,4 @@
-"""``report.md``: an evaluation to read as text, with the plots of its confidence curves."""
+"""``report.md``: an evaluation as text, with plots of its confidence curves."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _markdown(report: EvaluationReport) -> str:
     out += ["## Error pictures" if drawn else "## Curves", ""]
     out += [f"{name}: {legend}.\n" for name, legend in drawn.items()]
     if drawn and any(r.bounds for r in report.results):
-        out += ["Below, where the truth lies outside the bound: the colors of wrong pixels.\n"]
+        out += ["Pictures of bounds, below, show errors beyond the bound in the colors of incorrect pixels.\n"]
     for r in report.results:
         if not r.error:
             scene = markdown_text(r.scene)

@@ -1,4 +1,4 @@
-"""How the page stores a scene: arrays as deflated 16-bit codes in base64, pictures as data URIs, in a file a scene.
+"""Format of scenes on the page: arrays as deflated 16-bit codes in base64, pictures as data URIs, one file per scene.
 
 ``page.js`` unpacks the arrays.
 """
@@ -28,9 +28,9 @@ _MAX_CODE = 65535
 def pack(values: NDArray[np.floating[Any]], low: float, high: float, levels: int = _MAX_CODE) -> Packed:
     """Return (H, W) numbers as 16-bit codes: ``value = origin + code * step``, and code 0 for NaN.
 
-    Values in [low, high] span at most ``levels`` codes. Values outside have the same step down to code 1 and up
-    to code 65535, where they are clipped. The step is a power of two, so that disparities in 256ths of a pixel, or
-    depths in millimeters, come back as they are where the range allows.
+    Values in [low, high] span at most ``levels`` codes. Values outside have the same step down to code 1 and up to
+    code 65535, where they are clipped. The step is a power of two, so that disparities in 256ths of a pixel, or depths
+    in millimeters, are exact if the range allows it.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def _packed(values: NDArray[np.floating[Any]], origin: float, step: float) -> Pa
 
 
 def pack_bytes(values: NDArray[np.uint8] | NDArray[np.bool_]) -> Packed:
-    """Return an (H, W) array of small integers as it is."""
+    """Return an (H, W) array of small integers, unchanged in value."""
     return {**_deflated(values.astype(np.uint8).ravel(), values.shape), "bits": 8}
 
 
@@ -110,7 +110,7 @@ def png(picture: NDArray[np.uint8]) -> str:
 
 
 class PackedScene(NamedTuple):
-    """The data of a scene in a script, which the page loads where they do not fit into it."""
+    """The data of a scene in a script, which the page loads if they do not fit into the page."""
 
     file: Path
     size: int  # characters
@@ -129,5 +129,5 @@ class PackedScene(NamedTuple):
 
 
 def script_json(text: str) -> str:
-    r"""Return JSON that cannot end its script element: ``<``, which strings alone have, is written ``\u003c``."""
+    r"""Return JSON that cannot end its script element: ``<``, which only strings have, is written as ``\u003c``."""
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")

@@ -1,4 +1,4 @@
-"""``report.html``: an evaluation to look at; one file that opens from disk and loads nothing from a network."""
+"""``report.html``: one page of an evaluation, which opens from disk and loads nothing from a network."""
 
 from __future__ import annotations
 
@@ -35,15 +35,16 @@ _MAX_CELLS = 40_000  # of the tables of one section; more make the page slow
 
 
 class Page(Viewer):
-    """``report.html``: the scenes of an evaluation, and of a run's scenes without truth.
+    """``report.html`` with the scenes of an evaluation, and the scenes of a run without ground truth.
 
     The pictures of every scene are written to the folder ``assets`` when it is complete, so that few are in memory at a
-    time, and embedded at the end; the folder stays where the page would become larger than ``budget``.
+    time, and embedded at the end. If the page would exceed ``budget``, the folder stays.
 
     Parameters
     ----------
     command : the command line, shown on the page
-    budget : size of all scenes' pictures in the page itself, bytes; of more, every second, third ... pixel is taken
+    budget : largest size of all scenes' pictures in the page, bytes; if they exceed it, every second, third ... pixel
+        is taken
     """
 
     file = "report.html"

@@ -1,4 +1,4 @@
-"""Plots as SVG, by matplotlib, which is imported where one is drawn; the same numbers give the same bytes."""
+"""Plots as SVG. matplotlib is imported only when a plot is drawn; the same numbers give the same bytes."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ def _sparsification(
     ordered = sorted(curves, key=lambda name: sum(errors[name]))
     drawn = [Line(name, PERCENTAGES, errors[name]) for name in ordered[:_MAX_CURVES]]
     drawn += [Line("", PERCENTAGES, line, True) for line in dict.fromkeys(best.values())]
-    what = "share of wrong pixels" if of == "bad" else "mean error"
+    what = "share of incorrect pixels" if of == "bad" else "mean error"
     y_label = what if of == "bad" else f"{what}, {section.protocol.presentation.unit}"
     over = _statistic("mean", curves.values())
     caption = f"Sparsification, {region}: {what} of the most confident pixels, {over}{_best(len(curves))}"
@@ -184,14 +184,14 @@ def _reliability(region: str, curves: Mapping[str, Sequence[ConfidenceCurve]]) -
     pooled = dict(sorted(pooled.items(), key=lambda named: named[1].ece)[:_MAX_CURVES])
     drawn = [Line(f"{name} {one.ece:.3f}", one.confidence, one.right) for name, one in pooled.items()]
     drawn.append(Line("", (0, 1), (0, 1), bound=True))
-    what = f"how often pixels of a confidence are right, with the expected calibration error, {over}{more}"
+    what = f"share of correct pixels by confidence, with the expected calibration error, {over}{more}"
     rows = [
         {"curve": name, "statistic": _statistic("pooled", [known[name]]), "confidence": confidence,
-         "share of right pixels": right}
+         "share of correct pixels": right}
         for name, one in pooled.items()
         for confidence, right in zip(one.confidence, one.right, strict=True)
     ]  # fmt: skip
-    svg = line_plot(drawn, over, "confidence", "share of right pixels", any_names=True)
+    svg = line_plot(drawn, over, "confidence", "share of correct pixels", any_names=True)
     return {f"Reliability, {region}: {what}; dotted: as often as they say": Plot(f"reliability_{region}", svg, rows)}
 
 
@@ -215,8 +215,9 @@ def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str, any
 
     Parameters
     ----------
-    lines : NaN leaves a gap; from the ninth line on colors are used again, dashed; one without a name is not in the
-        legend
+    lines : NaN leaves a gap. From the ninth line on, colors are used again, with dashed lines. A line without a name
+        is not
+    in the legend
     title, x_label, y_label : plain text
     any_names : fit the margins to names of any length, which takes twice the time
     """

@@ -1,7 +1,7 @@
-"""A scene as the page shows it: its maps packed for the script, and small pictures for readers without one.
+"""A scene on the page: its maps packed for the script, and small pictures for readers without scripts.
 
-A scene with ground truth shows the maps of several runs and their errors; one without shows the map of one run, with
-the run's own figures of it.
+A scene with ground truth shows the maps of several runs and their errors. A scene without ground truth shows the map of
+one run, with the run's own figures.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ _MAX_SHEET = 1240  # pixels, width of the preview of a volume in the page
 _MAX_CONFIDENCES = 4  # with a small picture and a mean; the others are in the viewer
 _MAX_PIXELS = 3_000_000  # of all slices of a volume that are shown, which keeps its pictures near 10 MB per run
 
-_EXPECTED_WRONG = "expected wrong: mean probability of an error above the run's limit (--within)"
+_EXPECTED_WRONG = "expected incorrect: mean probability of an error above the run's limit (--within)"
 
 Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Slice:
-    """A plane of an array that is shown, ``array[index]``: an image itself, or a slice of a volume."""
+    """A plane ``array[index]`` of a shown array: an image itself, or a slice of a volume."""
 
     axis: int  # that it is perpendicular to, -1 for an image itself
     place: int  # number of the slice along that axis, from 0
@@ -63,10 +63,10 @@ class Slice:
 
 
 def slices(shape: tuple[int, ...], max_pixels: int = _MAX_PIXELS) -> list[Slice]:
-    """Return the planes that are shown: an image itself; of a volume (Z, Y, X) slices across every axis.
+    """Return the shown planes: an image itself, or slices of a volume (Z, Y, X) across every axis.
 
-    The middle slices are among them. If a volume has more than about ``max_pixels`` in all of them together, every
-    second, third ... slice is taken.
+    They include the middle slices. If all slices together have more than about ``max_pixels``, every second, third ...
+    slice is taken.
     """
     if len(shape) == 2:
         return [Slice(-1, 0, 1, (...,))]
@@ -86,12 +86,12 @@ class SceneView:
 
     Parameters
     ----------
-    protocol : by which it is scored, or its map is shown
+    protocol : the protocol that scores or shows the scene
     palette : colors and words of the status maps; None: the protocol's
 
     Attributes
     ----------
-    data : what ``viewer.js`` reads, as JSON. Of the scene: ``name``, ``protocol``, ``quantity`` and ``unit`` of its
+    data : the JSON data for ``viewer.js``. Of the scene: ``name``, ``protocol``, ``quantity`` and ``unit`` of its
         values, ``low`` and ``high`` of their scale, ``top`` of the errors', ``bound`` (ends of the bounds', or None),
         ``hidden`` (some pixels are occluded), ``words`` of the kinds of pixel, ``status`` (code -> words and color),
         ``opacity``, ``start`` (first view) and ``views``. Of a view, one per slice: ``name``, ``axis``, ``plane``,
@@ -100,14 +100,14 @@ class SceneView:
         and ``runs``: name -> packed ``values``, ``error``, ``wrong``, ``bound``, ``status``, ``confidence`` by measure
     thumbs : run (empty: the scene itself) -> title of a small picture -> data URI
     above : prefix of the figures: empty, or "> " where they are lower bounds
-    figures, note : without truth: heading with unit -> number, by which scenes are ordered, and their explanation
+    figures, note : without ground truth: heading with unit -> number, which orders the scenes; and an explanation
     mean_confidence : without truth: heading -> mean of a confidence map
     legend : without truth: words -> CSS color of the statuses in the small picture
     codes : of the status maps
     sheet : data URI of a volume's preview, instead of small pictures; or None
     scale, top : words for the ends of the values' scale, and for the upper one of the errors'; empty: no errors
     bound : ends of the bounds' scale; None: there are none
-    packed : the data in a file, where they are once the view is closed
+    packed : the data, in a file after the view is closed
     """
 
     def __init__(self, scene: Scene, protocol: AnyProtocol, base: View, palette: Palette | None = None) -> None:
@@ -127,7 +127,7 @@ class SceneView:
         self.packed: PackedScene
         self.bound: Range | None = None
         self._drawn: dict[str, dict[str, tuple[str, View]]] = {}  # run -> title of a small picture -> of which view
-        self._highs: list[float] = []  # 90 % quantiles of the errors of wrong pixels
+        self._highs: list[float] = []  # 90 % quantiles of the errors of incorrect pixels
         self._cuts = slices(base.values.shape)
         # The first view is of the first axis the slice with most known pixels, of such ones the most central.
         first = [number for number, cut in enumerate(self._cuts) if cut.axis == self._cuts[0].axis]
@@ -176,9 +176,9 @@ class SceneView:
         return {"name": name, "axis": cut.axis, "plane": plane, "axes": [columns, rows], "tall": tall}
 
     def add(self, scored: ScoredMap, folder: Path) -> None:
-        """Add one run's map, with its status, confidences and bound; the whole map, if its truth is at few points.
+        """Add one run's map, with its status, confidences and bound.
 
-        ``folder`` has the picture of the truth outside the bound.
+        ``folder`` has the picture of errors beyond the bound.
         """
         result, path, estimate, truth, confidences, bound = scored
         run, protocol, base, dense = result.run, self.protocol, self.base, None
@@ -212,7 +212,7 @@ class SceneView:
             self.thumbs[run] = {"truth outside the bound": picture}
 
     def add_shown(self, run: str, path: Path, shown: ShownMap) -> None:
-        """Add the map of a run without truth: map, status, confidences and bound."""
+        """Add the map of a run without ground truth: map, status, confidences and bound."""
         words, known = self.protocol.presentation, np.isfinite(shown.values)
         confidence = {n: plane for n, plane in shown.confidence.items() if plane.shape == known.shape}
         bound = shown.bound if shown.bound is not None and shown.bound.shape == known.shape else None
@@ -221,7 +221,7 @@ class SceneView:
         self._pack(run, view, range_of(shown.values))
         self.note = shown.note
         if PROBABILITY in confidence and known.any():
-            self.figures["expected wrong, %"] = 100 * (1 - float(confidence[PROBABILITY][known].mean()))
+            self.figures["expected incorrect, %"] = 100 * (1 - float(confidence[PROBABILITY][known].mean()))
             self.note = "; ".join(filter(None, (_EXPECTED_WRONG, self.note)))
         self.figures |= shown.figures
         titles = {name: name for name in ("confidence", f"confidence_{PROBABILITY}", PROBABILITY)}
@@ -229,7 +229,7 @@ class SceneView:
         for label, name in chosen.items():
             finite = confidence[name][np.isfinite(confidence[name])]
             self.mean_confidence[f"{label}, mean"] = float(finite.mean()) if finite.size else np.nan
-        self.mean_confidence.pop("probability, mean", None)  # the figure "expected wrong" shows it
+        self.mean_confidence.pop("probability, mean", None)  # the figure "expected incorrect" shows it
         if shown.axes and (preview := _preview(path.with_name("preview.png"))):  # three slices show more than one
             self.sheet, self.thumbs = preview, {}
             return
@@ -249,7 +249,7 @@ class SceneView:
     def close(self, file: Path) -> None:
         """Draw the pictures of the runs, and move the data from memory to ``file``.
 
-        The scale of the errors ends at the median of the runs' 90 % quantiles over wrong pixels.
+        The scale of the errors ends at the median of the runs' 90 % quantiles over incorrect pixels.
         """
         highs = [high for high in self._highs if not math.isnan(high)]
         top = self.data["top"] = _significant(float(np.median(highs)) if highs else 1.0, 2) or 1.0

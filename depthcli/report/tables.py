@@ -1,7 +1,7 @@
 """The tables of an evaluation: on a terminal, in ``report.md``, for papers (LaTeX, Markdown, CSV) and on the page.
 
-Narrow tables have a row for every run or scene and a column for every metric or region. Wide ones have a row for every
-run, a column for every scene or metric, and ranked numbers.
+Narrow tables have a row for every run or scene and a column for every metric or region. Wide tables have a row for
+every run, a column for every scene or metric, and ranked numbers.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ from depthcli.show.table import FORMATS, Column, Number, Table
 NAMES = ("headline", "overview", "pairs", "metrics", "scenes", "further", "bounds", "confidence", "hidden", "missing")
 """Names of tables, which a region or run and a data set may follow, as in ``metrics-nonocc``."""
 
-MISSING = "*: scenes without a map count as wholly wrong; where a metric has no worst value there is no mean over all"
+MISSING = (
+    "*: all pixels of scenes without a map count as incorrect; a metric without a worst value has no mean over all"
+)
 TEST_COLUMNS = ("wins", "losses", "p (Holm)", "verdict")
 """Headings of the tests against the best run."""
 
@@ -88,7 +90,7 @@ def section_tables(section: Section) -> list[Table]:
 
 
 def summary(section: Section) -> Table:
-    """Return the headline by region, the single figure, average rank, and the test against the best run.
+    """Return the summary: headline by region, single figure, average rank, and the test against the best run.
 
     The best run is the first. If maps are missing, a second row of a run has the means over the common scenes.
     """
@@ -125,7 +127,7 @@ def summary(section: Section) -> Table:
 
 
 def bound_tables(section: Section) -> list[Table]:
-    """Return how well the runs' bounds keep their promise: by run and region, and the coverage by scene."""
+    """Return the tables of error bounds: by run and region, and the coverage by scene."""
     means = {run: scores for run in section.runs if (scores := section.bounds(run))}
     if not means:
         return []
@@ -151,11 +153,11 @@ def bound_tables(section: Section) -> list[Table]:
             shares = {s.region: s.value for s in result.bounds if s.metric.name == COVERAGE}
             covered.append((result.run, short(result.scene), shares))
     note = (
-        "over pixels with truth and value; coverage: of the finite bounds, the share that the error is within; they "
-        "promise the level; finite: share of bounds that are (the others are open: the search ends before); "
-        "covering maps: those whose coverage is at most 10 points below; mean/constant: mean finite bound over the "
-        "constant one with the same coverage; bad: wrong pixels, by the headline's rule, among so many of the smallest "
-        "bounds; means over the maps; said: by the map's own status"
+        "over pixels with ground truth and a value; coverage: share of the errors within finite bounds, which "
+        "should be the level; finite: share of finite bounds (others are open: the error may exceed the search); "
+        "covering maps: maps whose coverage is at least the level minus 10 points; mean/constant: mean finite "
+        "bound over the constant bound with the same coverage; bad: incorrect pixels, by the headline's rule, "
+        "among the pixels with the smallest bounds; means over the maps; said: by the map's own status"
     )
     regions = list(dict.fromkeys(region for *_, shares in covered for region in shares))
     by_scene = [(run, scene, *(Number(of.get(name, math.nan), 1) for name in regions)) for run, scene, of in covered]
@@ -224,7 +226,7 @@ def _region_heading(section: Section, region: str) -> str:
 
 
 def overview(report: EvaluationReport) -> list[Table]:
-    """Return the single figure of every run in every data set, where there are several; none is over all of them."""
+    """Return the single figure of every run in every data set if there are several; no figure is over all data sets."""
     if len(report.sections) < 2:
         return []
     header = ["data set", "protocol", "metric", "regions", "run", "scenes", "figure"]
@@ -253,7 +255,7 @@ def overview(report: EvaluationReport) -> list[Table]:
 
 
 def further_tables(report: EvaluationReport) -> list[Table]:
-    """Return areas of sparsification curves, hidden pixels, and the maps that are missing; no table without rows."""
+    """Return the tables of areas of sparsification curves, of hidden pixels, and of missing maps; none without rows."""
     rows: list[tuple[str, ...]] = []
     hidden: list[tuple[str, ...]] = []
     groups: dict[tuple[str, ...], list[ConfidenceCurve]] = {}
@@ -278,15 +280,15 @@ def further_tables(report: EvaluationReport) -> list[Table]:
             hidden.append((run, f"pooled of {len(group)}" + f" of {data_set}" * several, *shares))
     areas = ("AUC", "optimal", "random", "AUC/optimal", "AUSE", "AURG", "AUC 5-100", "optimal 5-100", "ECE")
     note = (
-        "sparsification over the estimated pixels, of wrong ones (bad: by the headline's rule) and of the error; AUC: "
-        "integral over all shares; random: their mean; AUSE, AURG: distance to optimal and random; 5-100: trapezoid "
-        "over 5..100 %, as LAF-Net and the survey of Poggi et al. take it; ECE: expected calibration error, where the "
-        "confidence is a probability; mean: of the maps' areas, AUC/optimal is the ratio of their means; pooled: over "
-        "all pixels together"
+        "sparsification curves over pixels with a value, of incorrect pixels (bad, by the headline's rule) and of "
+        "the error; AUC: integral over all shares; random: AUC of a random order; AUSE, AURG: distance of AUC from"
+        " optimal and random; 5-100: trapezoid over 5..100 %, as in LAF-Net and the survey of Poggi et al.; ECE: "
+        "expected calibration error, if the confidence is a probability; mean: of the maps' areas, and for "
+        "AUC/optimal the ratio of these; pooled: over all pixels together"
     )
     hidden_note = (
-        "pixels that the right view does not see, by status.png (occluded, or out of view) against the truth (in all, "
-        "not in nonocc), percent"
+        "pixels that the right view does not see: by status.png (occluded, or out of range), compared with the ground "
+        "truth (in all, not in nonocc), percent"
     )
     shares_of = ("precision", "recall", "F1", "said hidden %", "truly hidden %")
     failed = [(r.run, r.scene, r.error) for r in report.failed]
@@ -328,7 +330,7 @@ def _n_scenes(section: Section, run: str, place: str, region: str | None = None)
 
 
 def wide_by_scene(section: Section, key: Key) -> Table:
-    """Return one metric in one region: a column for every scene, then the means and, where they are known, times."""
+    """Return one metric in one region: a column for every scene, then means and, if known, times."""
     metric, region = key
     places = [s for s in section.scenes if any(key in section.scores[run, s] for run in section.runs)]
     columns = [(short(scene), scene, key) for scene in places]
@@ -376,12 +378,12 @@ def _wide(
         cells = {run: Number(mean_of_known(r.times[heading] for r in section.results_of(run))) for run in section.runs}
         if any(cell != "-" for cell in cells.values()):
             all_columns.append(Column(heading, cells.__getitem__, False))
-    note = "*: no map, counted as wholly wrong; see the means over scenes that all runs have"
+    note = "*: no map, all pixels count as incorrect; see the means over scenes that all runs have"
     return Table(title, all_columns, section.runs, note * (len(section.places) > 1), name)
 
 
 def headline_text(report: EvaluationReport) -> str:
-    """Return the headline for a terminal, at most 100 columns wide: of one data set by region, of several by set."""
+    """Return the headline for a terminal, at most 100 columns wide: by region, or by data set if there are several."""
     if len(report.sections) == 1:
         (section,) = report.sections
         table = summary(section)
@@ -401,14 +403,14 @@ def chosen_text(
     form: str | None = None,
     caption: str | None = None,
 ) -> str:
-    """Return tables for a terminal, or in a format. Raise ConfigError for unknown ones, or a caption of several.
+    """Return tables for a terminal, or in a format. Raise ConfigError for unknown tables, or one caption for several.
 
     Parameters
     ----------
-    names : names of tables, or their beginnings up to a dash; ``all``: all. Empty: all of a format are the wide ones
+    names : names of tables, or their beginnings up to a dash; ``all``: all. Empty: all wide tables of the format
     columns : headings of the columns to show, in addition to the first one and ``run``; empty: all
     form : one of ``FORMATS``, in which tables of scenes and metrics are wide; None: aligned text, wrapped
-    caption : title in place of the table's own
+    caption : title that replaces the table's title
     """
     tables = report_tables(report)
     if form is not None:

@@ -1,4 +1,4 @@
-"""Scenes without truth as the page shows them: with the run's own figures of its maps, the worst first."""
+"""Scenes without ground truth on the page: with the run's own figures, the worst scene first."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _DOUBTS = {"expected_right": -1, "inside_mean": 1, "mean_error": 1, "measured": 
 
 
 class RunWithoutTruth(NamedTuple):
-    """Scenes of a run without truth, with the run's own figures of them."""
+    """Scenes of a run without ground truth, with the run's own figures."""
 
     name: str
     folder: Path

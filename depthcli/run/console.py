@@ -134,7 +134,7 @@ class Reporter:
 
 @dataclass(eq=False)
 class WarningCounts:
-    """Print one warning of each kind (up to numbers and files), and the number of scenes that have it."""
+    """Print one warning of each kind (warnings that differ only in numbers and files), and the number of its scenes."""
 
     _reporter: Reporter
     _kinds: dict[str, tuple[str, int]] = field(default_factory=dict)  # the text of the first one, and how many scenes

@@ -1,6 +1,6 @@
 """The way of one scene: its task, its computation in a hidden folder, and its move into the folder of its name.
 
-Files and record are moved together, the record last. Whatever fails becomes a row with its reason.
+Files and record are moved together, the record last. Every failure becomes a row with its reason.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ Row: TypeAlias = dict[str, Any]
 
 
 class Number(str):
-    """A number as tables show it, ``-`` for NaN; it keeps its value, to be ranked and written with all digits."""
+    """A number with its text in tables, ``-`` for NaN; its value is kept, for ranks and for output with all digits."""
 
     value: float
     digits: int
@@ -98,7 +98,7 @@ class Table:
 
     @classmethod
     def of_cells(cls, title: str, header: Sequence[str], rows: Sequence[Any], note: str = "", name: str = "") -> Table:
-        """Return the table of rows that have one cell a column."""
+        """Return the table of rows with one cell per column."""
         return cls(title, [Column(heading, itemgetter(j)) for j, heading in enumerate(header)], rows, note, name)
 
     @cached_property
@@ -121,10 +121,10 @@ class Table:
         return replace(self, columns=[c for j, c in enumerate(self.columns) if j == 0 or c.heading in headings])
 
     def fitted(self, width: int, spare: Sequence[str] = (), names: Sequence[str] = ()) -> Table:
-        """Return the table with lines of at most ``width`` characters, where that is possible.
+        """Return the table with lines of at most ``width`` characters, if that is possible.
 
-        Columns of ``spare`` are left out in that order; if it is too wide still, the texts of the columns ``names`` are
-        shortened.
+        Columns of ``spare`` are left out in that order. If the table is still too wide, the texts of the columns
+        ``names`` are shortened.
         """
         table = self
         for heading in spare:
@@ -148,7 +148,7 @@ class Table:
         return [j > 0 and all(map(_NUMERIC.fullmatch, cells)) for j, cells in enumerate(self.cells)]
 
     def places(self, j: int) -> list[int]:
-        """Return ``BEST``, ``SECOND`` or 0 for every cell of a column; numbers that read alike share a place."""
+        """Return ``BEST``, ``SECOND`` or 0 for every cell of a column; numbers with the same text share a place."""
         cells, larger = self.cells[j], self.columns[j].better
         if len(cells) < 2 or larger is None:
             return [0] * len(cells)
@@ -158,7 +158,7 @@ class Table:
         return [BEST + ranked.index(key) if key in ranked else 0 for key in keys]
 
     def shades(self, j: int) -> list[float]:
-        """Return how much worse every number of a column is than the best: 0 the best, 1 twice as bad or worse."""
+        """Return how much worse than the best each number of a column is: 0 (best) to 1 (twice as bad or worse)."""
         values = [cell.value if isinstance(cell, Number) else math.nan for cell in self.cells[j]]
         known, larger = [v for v in values if not math.isnan(v)], self.columns[j].better
         if len(known) < 2 or larger is None:
@@ -173,7 +173,7 @@ class Table:
         return "\n".join([*title, aligned(self.lines, self._numeric), *note]) + "\n"
 
     def markdown(self) -> str:
-        """Return a Markdown section: of ranked columns the best bold, the second best underlined."""
+        """Return a Markdown section; in ranked columns, the best is bold and the second best underlined."""
         marks = ["---:" if right else "---" for right in self._numeric]
         header, *rows = self._escaped("**{}**", "<u>{}</u>", markdown_text)
         out = [f"## {markdown_text(self.title)}", ""] if self.title else []
@@ -210,9 +210,9 @@ class Table:
 
 
 def joined(tables: Sequence[Table]) -> Table:
-    """Return the rows of several tables in one, with their titles in a column ``table``.
+    """Return one table with the rows of several tables, and their titles in a column ``table``.
 
-    A cell is empty where a table has no such column.
+    A cell is empty if its table has no such column.
     """
     # Two scenes of a table may share a name, so a column is its heading and how often that occurred before.
     places = [{(h, table.header[:j].count(h)): j for j, h in enumerate(table.header)} for table in tables]
@@ -250,7 +250,7 @@ def median(values: Any) -> float | None:
 def to_json(value: object, indent: int | None = 1) -> str:
     """Return ``value`` as JSON that ends with a line break; numbers that are not finite become null.
 
-    Bytes of file names that are not UTF-8 are escaped, and can be read back; ``indent`` None: on one line.
+    Bytes of file names that are not UTF-8 are escaped so that they can be read back. ``indent`` None: on one line.
     """
     form: dict[str, Any] = {"indent": indent, "default": lambda number: number.item()}  # of numpy
     text = json.dumps(value, ensure_ascii=False, **form)
@@ -267,7 +267,7 @@ def to_json(value: object, indent: int | None = 1) -> str:
 def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return rows as CSV with a header; columns are in the order of their first appearance.
 
-    Mappings become ``outer_inner`` columns, lists one text.
+    Mappings become columns ``outer_inner``; lists become text.
     """
     flat: list[dict[str, Any]] = []
     for row in rows:
@@ -312,17 +312,17 @@ def aligned(lines: Sequence[Sequence[str]], right: Sequence[bool] | None = None)
 
 
 def markdown_text(text: str) -> str:
-    """Return a text that Markdown shows as it is, on one line: no HTML, link, code or column in it."""
+    """Return a text on one line, with escapes so that Markdown shows it without HTML, links, code or columns."""
     return _MARKDOWN.sub(r"\\\g<0>", one_line(text))
 
 
 def markdown_code(name: str) -> str:
-    """Return a name as code, or as text where it would end the code itself."""
+    """Return a name as code, or as text if it contains the end of code."""
     return markdown_text(name) if "`" in name else f"`{one_line(name)}`"
 
 
 def markdown_link(path: str) -> str:
-    """Return a relative path as the target of a link, of whatever bytes."""
+    """Return a relative path of any bytes as the target of a link."""
     return quote(os.fsencode(path))
 
 

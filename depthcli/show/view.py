@@ -1,4 +1,4 @@
-"""A map as it is shown: values, bounds, statuses and kinds of pixels, with their meanings; and its painter."""
+"""The view of a map: values, bounds, statuses and kinds of pixels, with their meanings; and drawing of views."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ _INK = (0, 0, 0)
 
 
 class SliceAxis(NamedTuple):
-    """An axis of a volume that is shown."""
+    """An axis of a shown volume."""
 
     plane: str  # name of the slices across it
     ends: str  # letters of the sides where its first and its last voxel is
@@ -83,7 +83,7 @@ class SliceAxis(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A map as it is shown; all arrays have its shape."""
+    """The view of a map; all arrays have its shape."""
 
     values: NDArray[np.floating[Any]]  # (H, W), or (Z, Y, X) of a volume; NaN = none
     unit: str = ""
@@ -106,7 +106,7 @@ class View:
         return cls(inverse, "m", spread(inverse), bound=bound)
 
     def part(self, index: Any, step: int = 1) -> Self:
-        """Return the view of ``array[index]``, and of that every ``step``-th pixel."""
+        """Return the view of every ``step``-th pixel of ``array[index]``."""
 
         def cut(value: Any) -> Any:
             if isinstance(value, np.ndarray):
@@ -153,7 +153,7 @@ def pixel_kinds(
 ) -> NDArray[np.uint8]:
     """Return the kind of every pixel, ``UNKNOWN`` to ``EMPTY``, as uint8.
 
-    ``known`` pixels have a truth that counts; ``hidden`` pixels are occluded in the other view.
+    ``known`` pixels have a ground truth that counts; ``hidden`` pixels are occluded in the other view.
     """
     kinds = np.uint8(RIGHT) + wrong + np.uint8(HIDDEN_RIGHT - RIGHT) * hidden  # no more memory for whole volumes
     return np.where(known, np.where(missing, np.uint8(EMPTY), kinds), np.uint8(UNKNOWN))
@@ -164,16 +164,16 @@ def draw(view: View, what: str, scale: Range | None = None) -> Picture:
 
     Parameters
     ----------
-    view : of an image, or of a slice of a volume
-    what : what is drawn:
+    view : view of an image, or of a slice of a volume
+    what : quantity to draw:
 
-        - ``preview``: values from blue, the lowest of the scale, to red, beside any bound;
+        - ``preview``: values from blue (lowest) to red (highest), next to any bound;
         - ``values``: values from violet to yellow, over the image;
         - ``bound``: the bound from violet to yellow, on a logarithmic scale;
         - ``error``: kinds of pixel, shaded by any error, over the image;
         - ``status``: colors of the palette;
         - ``confidence:NAME``, or ``confidence`` if the values are one: grey levels, 1st to 99th percentile
-    scale : ends of the colors; None: those of the view, or the bound's own. For errors, 0 and the largest
+    scale : ends of the colors; None: the ends of the view or of the bound. For errors, 0 and the largest
     """
     if what == "preview":
         picture = _turbo(view.values, *view.scale)
@@ -271,7 +271,7 @@ def _draw_scale(
 
 
 def draw_legend(entries: Iterable[tuple[str, Sequence[int]]]) -> Picture:
-    """Return a picture with a swatch of each color beside its words."""
+    """Return a picture with a swatch of each color next to its words."""
     rows = [*entries]
     width = max((cv2.getTextSize(words, *_FONT, 1)[0][0] for words, _ in rows), default=0)
     sheet = np.full((_LINE * len(rows) + 2 * _MARGIN, width + 3 * _MARGIN + _LINE, 3), 255, np.uint8)
@@ -327,8 +327,8 @@ def draw_text(
 ) -> None:
     """Draw a line of text into an (H, W, 3) picture; characters beyond ASCII become question marks.
 
-    ``place`` is x of its left end, or of its middle where it is ``centered``, and y of its middle line; a text of more
-    than ``max_width`` pixels is cut and ends in three dots.
+    ``place`` is x of its left end, or of its middle if ``centered``, and y of its middle line. A text of more than
+    ``max_width`` pixels is cut and ends with three dots.
     """
     shown = text.encode("ascii", "replace").decode()
     (width, height), _ = cv2.getTextSize(shown, *_FONT, 1)

@@ -1,4 +1,4 @@
-"""The picture of two volumes and of maps on their grid: three slices as radiologists hang them, with a scale."""
+"""The picture of two volumes and of maps on their grid: three slices in radiological orientation, with a scale."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ def draw_volumes(
 ) -> Picture:
     """Return (H, W, 3) RGB, at least 900 wide: a row for one slice across each axis of the body.
 
-    The columns are the volumes, and the maps over the first one. Sides are true to scale. Anterior and superior are up;
+    The columns are the volumes, and the maps over the first one. Lengths are to scale. Anterior and superior are up;
     the patient's right is on the left or, in neurological pictures, on the right.
 
     Parameters
     ----------
     volumes : title -> (Z, Y, X) as stored; all have the grey levels of the first
     grid : the fixed volume's grid
-    blocks : each voxel of the volumes is the mean of so many voxels (z, y, x) of the grid
+    blocks : number of voxels (z, y, x) of the grid whose mean is a voxel of the volumes
     maps : title -> its values
     inside : voxels where maps are shown, or a function that selects them in the grey levels of a slice
-    light : whether the paper is white, for print
+    light : whether the background is white, for print
     at : voxel (z, y, x) of the volumes where the slices meet; None: the middle
     """
     style = paper, _ = _LIGHT if light else _DARK

@@ -1,6 +1,6 @@
-"""Scenes with exact truth.
+"""Generated scenes with exact ground truth.
 
-``stereo_scenes`` furnishes rooms (``room``), which ``rendering`` photographs, painted with ``textures``;
-``kinect_scenes``, ``depth_sensor`` and ``transparent_scenes`` compute what sensors measure of a scene;
-``deformed_volumes`` registers volumes badly. None of them knows a file: ``samples`` writes them in our own layouts.
+``stereo_scenes`` makes rooms (``room``) with ``textures``, and ``rendering`` renders them. ``kinect_scenes``,
+``depth_sensor`` and ``transparent_scenes`` simulate sensors. ``deformed_volumes`` makes incorrect registrations. Only
+``samples`` writes files, in our own layouts.
 """

@@ -22,7 +22,7 @@ class DeformedPair(NamedTuple):
 def make_deformed_pair(
     seed: int, shape: tuple[int, int, int] = (40, 56, 56), largest: float = 4.0, noise: float = 10.0
 ) -> DeformedPair:
-    """Return an ellipsoid body with organs of their own texture, and a smooth residual up to ``largest`` voxels.
+    """Return an ellipsoid body with textured organs, and a smooth residual up to ``largest`` voxels.
 
     The fixed volume is the warped one sampled at x + residual(x), so that the residual is exact. ``shape`` is
     (Z, Y, X), ``noise`` the standard deviation in both volumes, where the body's range is about 600.
@@ -47,7 +47,7 @@ def make_deformed_pair(
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int, int], sigma: float) -> Floats:
-    """Return Gaussian noise of that correlation length, deviation 1."""
+    """Return Gaussian noise with this correlation length and standard deviation 1."""
     margin = int(3 * sigma) + 1
     wide = rng.standard_normal([n + 2 * margin for n in shape]).astype(np.float32)
     smooth = blurred(wide, sigma)[(slice(margin, -margin),) * 3]

@@ -39,7 +39,7 @@ class KinectSample:
 
     @property
     def gap(self) -> Mask:
-        """Pixels without a measurement whose truth is known."""
+        """Pixels without a measurement but with known ground truth."""
         return self.occluded | self.specular
 
     def frame(self, fb: float = RgbdFrame.fb) -> RgbdFrame:
@@ -83,15 +83,15 @@ def simulate_kinect(
 
     At every step of more than a pixel between neighbors in a row, the edge value of the nearer surface replaces some
     pixels of the farther one. Then the shadow is removed: as many pixels left of every such edge as the disparity
-    jumps (a pixel x is in shadow if its ``x - d`` is not left of that of every nearer pixel to its right). Some random
-    discs are removed, too. The remaining pixels get Gaussian noise. Pixels with unknown truth are not measured.
+    jumps (a pixel is in shadow if its ``x - d`` is not left of the ``x - d`` of every nearer pixel to its right). Some
+    random discs are removed, too. The remaining pixels get Gaussian noise. Pixels with unknown truth are not measured.
 
     Parameters
     ----------
     color : (H, W, 3) uint8 RGB
     truth : (H, W) float, pixels of disparity, NaN or infinite = unknown; ValueError if no pixel is known
-    seed : of discs and noise
-    sensor : its parameters; None: a Kinect's
+    seed : seed of discs and noise
+    sensor : parameters of the sensor; None: a Kinect
     changed : attributes of ``sensor`` that differ, such as ``fattening=2``
     """
     sensor = replace(sensor or Sensor(), **changed)

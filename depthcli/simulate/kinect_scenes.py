@@ -31,7 +31,7 @@ def make_kinect_scene(
     """Return color (H, W, 3) uint8 RGB and exact disparity (H, W) float32, pixels, the same for the same arguments.
 
     Kinds are ``planes``, ``foreground``, ``curved`` as in :func:`depthcli.simulate.stereo_scenes.make_scene`, and
-    ``camouflage``: boards before a wall, every other one painted like it, so that only the depth shows the edge.
+    ``camouflage``: boards before a wall, half of them painted like the wall, so that only the depth shows their edges.
     """
     if kind != "camouflage":
         scene = make_scene(kind, seed, width, height, max_disparity)
@@ -59,7 +59,7 @@ def make_kinect_sequence(
     speed: int = 4,
     fattening: int = 4,
 ) -> list[KinectSample]:
-    """Return a sequence as a Kinect records it: new noise in color and depth in every frame, exact truth.
+    """Return a simulated recording of a Kinect; each frame has new noise in color and depth, and exact ground truth.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class CutOut:
     disparity: Floats  # its plane
 
     def moved(self, columns: int) -> CutOut:
-        """Return the board ``columns`` pixels to the right, out of the picture where that ends."""
+        """Return the board moved by ``columns`` pixels to the right; parts outside the picture are cut off."""
         cover, color, disparity = (np.roll(each, columns, axis=1) for each in (self.cover, self.color, self.disparity))
         cover[:, :columns] = 0
         return CutOut(cover, color, disparity)

@@ -1,4 +1,4 @@
-"""The two views of a room: which surface every ray hits, and in what light."""
+"""Rendering of the two views of a room: the surface that every ray hits, and its light."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def trace(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Array, 
 
 
 def render(room: Room, rays: int) -> tuple[Floats, Floats]:
-    """Return the left and the right view, (H, W, 3) float32, nominally in [0, 1], of ``rays`` x ``rays`` a pixel."""
+    """Return the left and the right view, (H, W, 3) float32, nominally in [0, 1], ``rays`` x ``rays`` per pixel."""
     light_maps = [_light_map(room, each) if each.shape == "plane" else None for each in room.surfaces]
     offsets = (np.arange(rays) + 0.5) / rays - 0.5
     columns = (np.arange(room.width)[:, None] + offsets).ravel()[None].astype(np.float32)

@@ -141,12 +141,12 @@ class Room:
         return point
 
     def paint(self, maker: TextureMaker, size: tuple[float, float], disparity: float, feature: float = 1.0) -> Floats:
-        """Return a picture for a surface of this (width, height) in baselines: one texel a pixel at ``disparity``."""
+        """Return a picture for a surface of (width, height) baselines, with one texel per pixel at ``disparity``."""
         columns, rows = (int(np.clip(round(s * disparity), 8, 4096)) for s in size)
         return maker(self.rng, rows, columns, self.feature * feature)
 
     def pick(self, makers: tuple[TextureMaker, ...] = textures.OBJECT_TEXTURES) -> TextureMaker:
-        """Return one of the makers of textures."""
+        """Return one of the functions that make textures."""
         return makers[int(self.rng.integers(len(makers)))]
 
     def faded(self, picture: Floats) -> Floats:

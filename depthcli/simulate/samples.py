@@ -70,7 +70,7 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class SampleScene(Scene):
-    """A scene to be generated, from the scene ``origin`` and its files if there is one."""
+    """A scene to generate, possibly from the files of another scene, ``origin``."""
 
     settings: dict[str, Any] = field(default_factory=dict)  # in addition to the options that all scenes share
     files: dict[str, Path] = field(default_factory=dict)
@@ -83,7 +83,7 @@ class SampleScene(Scene):
 
 
 def sample_scenes(sample: str, values: Values) -> list[SampleScene]:
-    """Return the scenes of a kind of sample that the options ask for. Raise ConfigError if options conflict."""
+    """Return the scenes of a kind of sample that the options describe. Raise ConfigError if options conflict."""
     if sample == "real":
         return [_real_scene()]
     seed, folder = values["seed"], values.get("from_")
@@ -285,7 +285,7 @@ def _make_real(values: Values, scene: SampleScene, folder: Path) -> dict[str, An
 
 
 class SampleKind(NamedTuple):
-    """A kind of scenes."""
+    """A kind of generated scenes."""
 
     make: Callable[[Values, SampleScene, Path], dict[str, Any]]
     """Writes one scene into an empty folder and returns facts for the report."""

@@ -26,7 +26,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 @dataclass(frozen=True)
 class SyntheticScene:
-    """A rectified pair and everything known about it; all maps are (H, W)."""
+    """A rectified pair with its ground truth; all maps are (H, W)."""
 
     left: Image8  # (H, W, 3) RGB
     right: Image8
@@ -40,7 +40,7 @@ class SyntheticScene:
 
 @dataclass(frozen=True)
 class Radiometry:
-    """How the right camera sees the same light: ``255 * (gain * v ** gamma * fall-off) + bias``, v in [0, 1]."""
+    """Response of the right camera to the same light: ``255 * (gain * v ** gamma * fall-off) + bias``, v in [0, 1]."""
 
     gain: float = 1.0
     bias: float = 0.0  # grey levels of 255
@@ -87,7 +87,7 @@ def make_scene(
     width, height : pixels, at least 16, otherwise ValueError
     max_disparity : pixels, at least 4 and at most ``width / 2``, otherwise ValueError; no surface is nearer
     noise : standard deviation in grey levels of the noise of each camera
-    radiometry : of the right camera; None = both cameras are alike
+    radiometry : response of the right camera; None = both cameras are alike
     wall_contrast : contrast of the walls' pictures: 1 = full, 0 = walls without texture (the repeated pattern
         of ``repetitive`` stays as it is)
     brightness : factor on the levels of both views, before noise is added; 0.08: levels up to about 20

@@ -1,4 +1,4 @@
-"""Pictures to stick on generated surfaces: (H, W, 3) float32 RGB in [0, 1].
+"""Textures of generated surfaces: (H, W, 3) float32 RGB in [0, 1].
 
 Every maker takes a numpy ``Generator``, the size in texels and the size of a typical feature in
 texels, and draws its randomness from that generator alone.
@@ -229,7 +229,7 @@ def bodywork(rng: np.random.Generator, height: int, width: int, feature: float) 
 
 
 def surroundings(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
-    """Return what paint and panes mirror: bright sky, dark shapes."""
+    """Return the surroundings that paint and panes reflect: bright sky, dark shapes."""
     level = noise(rng, height, width, feature * 2, 3, rng.uniform(1, 3))
     bright = (level > rng.uniform(-0.5, 0.8)).astype(np.float32) + np.float32(0.2) * level
     return np.repeat(cv2.GaussianBlur(np.clip(bright, 0, 1), (0, 0), 1.0)[:, :, None], 3, axis=2)
@@ -250,7 +250,7 @@ def windows(rng: np.random.Generator, height: int, width: int, feature: float) -
 def repeated(rng: np.random.Generator, height: int, width: int, tile: int, landmarks: int, feature: float) -> Floats:
     """Return a pattern that repeats exactly every ``tile`` texels along x (and y), with unique stickers on it.
 
-    The stickers (``landmarks`` of them) are what tells the repetitions apart.
+    The stickers, ``landmarks`` in number, distinguish the repetitions.
     """
     half = tile / 2
     motif = np.empty((tile, tile, 3), np.float32)

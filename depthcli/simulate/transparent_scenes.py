@@ -1,4 +1,4 @@
-"""Scenes with transparent objects, as a color camera, an infrared camera and a depth sensor record them, with truth.
+"""Scenes with transparent objects for a color camera, an infrared camera and a depth sensor, with ground truth.
 
 Disparities are exact. The background shines through an object, displaced as by a lens, mixed with a faint picture of
 the object itself. The sensor measures the surface behind the object, or nothing.
@@ -163,12 +163,12 @@ def sparse_samples(
     clustered: bool = False,
     seed: int = 0,
 ) -> Floats:
-    """Return some pixels of ``depth``, (H, W) float32, meters, NaN = none, with Gaussian noise and wrong values.
+    """Return some pixels of ``depth``, (H, W) float32, meters, NaN = none, with Gaussian noise and outliers.
 
     Parameters
     ----------
     depth, color : (H, W) float32, meters, NaN = unknown (never chosen); (H, W, 3) uint8
-    share, noise : of all pixels that get a sample, in [0, 1]; standard deviation, meters
+    share, noise : share of all pixels that get a sample, in [0, 1]; standard deviation, meters
     outliers : share of the samples that are uniform between the 1st and the 99th percentile of ``depth`` instead
     clustered : a pixel's chance grows with the 1.5th power of the color's gradient, since stereo finds texture there
     """

@@ -29,7 +29,7 @@ def _distinct_costs() -> NDArray[np.uint8]:
 
 
 def _ambiguous_costs(seed: int = 0) -> NDArray[np.uint8]:
-    """Costs that hardly differ: the minimum is where noise puts it."""
+    """Costs that hardly differ, so that noise decides on the minimum."""
     return np.random.default_rng(seed).integers(100, 106, (_HEIGHT, _WIDTH, _DISPARITIES)).astype(np.uint8)
 
 

@@ -35,7 +35,7 @@ def volumes_of_all_types_and_sizes(optimizer: Optimizer) -> None:
 
 
 def unanimous_costs_keep_their_winner(optimizer: Optimizer) -> None:
-    """A disparity that is the cheapest one everywhere stays it, at any scale of the costs."""
+    """A disparity that is the cheapest everywhere remains the cheapest, at any scale of the costs."""
     for scale in (1.0, 85.0, 1360.0):
         costs = np.full((15, 30, 12), 200, np.uint8)
         costs[:, :, 5] = 10
@@ -44,7 +44,7 @@ def unanimous_costs_keep_their_winner(optimizer: Optimizer) -> None:
 
 
 def equal_costs_stay_equal(optimizer: Optimizer) -> None:
-    """Costs that prefer no disparity still prefer none."""
+    """If all costs are equal, they remain equal."""
     costs = optimizer(CostVolume(np.full((9, 20, 8), 40, np.uint8)), blocky_pair(9, 20)).costs
     np.testing.assert_array_equal(costs.min(axis=2), costs.max(axis=2))
 

@@ -21,7 +21,7 @@ def check_refinement(step: Refinement) -> None:
 def noisy_case(
     height: int, width: int, disparities: int, seed: int = 0, color: bool = True
 ) -> tuple[DisparityMap, RefinementContext]:
-    """Winners of random costs with holes of every kind, and what belongs to them."""
+    """Return winners of random costs with holes of every kind, and their context."""
     rng = np.random.default_rng(seed)
     volume = random_volume(height, width, disparities, np.uint16, seed)
     left, right = winners(volume.costs)

@@ -354,13 +354,13 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     assert math.isnan(means["easy", "avgerr", "all", None]["value"])
     assert means["easy", "avgerr", "all", None]["value_common"] == 0
     text, markdown = text_of(report), (tmp_path / "out" / "report.md").read_text()
-    for said in ("2, 1 missing*", "50.00*", "1 common", "*: scenes without a map count as wholly wrong"):
+    for said in ("2, 1 missing*", "50.00*", "1 common", "*: all pixels of scenes without a map count as incorrect"):
         assert said in text
         assert said in markdown
     written = {(r["run"], r["scene"], r["metric"], r["mask"], r["threshold"]): r for r in rows(tmp_path / "out")}
     figures = {scene: written["easy", scene, "bad", "all", "1.0"] for scene in ("b", "*mean", "*common mean")}
     assert [row["value"] for row in figures.values()] == ["100.0", "50.0", "0.0"]
-    assert "missing, counted as wholly wrong" in figures["b"]["note"] and "1 missing" in figures["*mean"]["note"]
+    assert "missing, all pixels count as incorrect" in figures["b"]["note"] and "1 missing" in figures["*mean"]["note"]
     assert written["easy", "*mean", "avgerr", "all", ""]["value"] == ""
     # Ranks and comparisons are over what both have: a tie.
     (summary, *_) = report_tables(report)

@@ -96,7 +96,7 @@ def test_plots_tables_and_files_name_the_same_statistic(tmp_path: Path, scenes: 
         assert statistic in svg[name]
     own = [c for r in document["results"] for c in r["confidence"]
            if (c["mask"], c["of"], c["measure"]) == ("occ", "bad", "probability")]  # fmt: skip
-    errors = [float(row["share of wrong pixels"]) for row in rows["sparsification_occ_bad"]
+    errors = [float(row["share of incorrect pixels"]) for row in rows["sparsification_occ_bad"]
               if row["curve"] == "probability"]  # fmt: skip
     assert errors == pytest.approx(np.mean([c["errors"] for c in own], axis=0))
     ece = Reliability.pooled(

@@ -112,7 +112,7 @@ def test_scenes_with_and_without_truth_share_a_page(pairs: Path, tmp_path: Path)
         read_pfm(tmp_path / "run" / "unknown" / f"{name}.pfm") for name in ("bound", "probability", "disp_left")
     )
     header, row = reader.tables[-1]
-    assert header[2] == "expected wrong, %"
+    assert header[2] == "expected incorrect, %"
     assert float(row[2]) == pytest.approx(100 * (1 - probability[np.isfinite(values)].mean()), abs=0.01)
     assert row[header.index("median bound")] == f"{np.nanmedian(bound):.3g} px"
     packed = unknown["views"][0]["runs"]["run"]["bound"]
@@ -161,7 +161,7 @@ def test_frames_of_a_sensor_show_their_bound(tmp_path: Path):
     )
     reader = read(tmp_path / "run" / "evaluation")
     header, *rows = reader.tables[0]
-    assert header[2] == "expected wrong, %"
+    assert header[2] == "expected incorrect, %"
     order = [float(row[2]) for row in rows]
     assert order == sorted(order, reverse=True)
     for name, figure in ((row[0], row[header.index("median bound")]) for row in rows):

@@ -66,7 +66,12 @@ class Polynomial(ConfigModel):
     """Polynomials of inverse depth in (x, y), fitted to every segment by reweighted least squares (Huber)."""
 
     method: Literal["polynomial"] = Field("polynomial", description="name of the model")
-    degree: int = Field(1, ge=0, le=2, description="of the polynomial; at most 1 below 100 known pixels, 0 below 30")
+    degree: int = Field(
+        1,
+        ge=0,
+        le=2,
+        description="degree of the polynomial; at most 1 with fewer than 100 known pixels, 0 with fewer than 30",
+    )
     huber: float | None = Field(1.345, gt=0, description="residuals of u > k scales weigh k / u; null: least squares")
     iterations: int = Field(20, ge=1, le=100, description="largest number of reweightings, without a previous frame")
     warm_iterations: int = Field(2, ge=1, le=100, description="reweightings from the surfaces of the previous frame")

@@ -75,7 +75,10 @@ class SegmentPlaneFit(ConfigModel):
     trials: int = Field(200, ge=1, le=100_000, description="RANSAC samples per segment")
     max_slope: float = Field(1.0, ge=0, le=16, description="steepest plane, pixels of disparity per pixel")
     flatness: float = Field(
-        1.0, ge=0, le=1, description="a sloping plane is kept if its misfit is below this share of the flat plane's"
+        1.0,
+        ge=0,
+        le=1,
+        description="a sloping plane is kept if its misfit is below this share of the misfit of the flat plane",
     )
     seed: int = Field(
         0, ge=0, le=2**31 - 1, description="seed of the RANSAC samples, combined with the segment's number"

@@ -22,7 +22,7 @@ class MeanShift(Segmenter):
 
     Colors are those of CIE Luv, windows are round, and a pixel moves until it has converged. Neighbors whose modes are
     similar form regions, regions whose mean modes are similar join, and small ones join the most similar neighbor.
-    Small radii over-segment, as stereo matching needs it: a region must not cross a depth edge.
+    Small radii give many small regions. Stereo matching needs this, because a region must not cross a depth edge.
     """
 
     aliases = ("MS",)
@@ -30,7 +30,7 @@ class MeanShift(Segmenter):
     spatial_radius: float = Field(7.0, ge=1, le=50, description="hs, radius of the window, pixels")
     color_radius: float = Field(6.5, gt=0, le=255, description="hr, radius of the window in Luv, lightness is 0 to 100")
     join_distance: float = Field(
-        0.5, ge=0, le=1, description="modes nearer than this belong together, shares of the radius in color"
+        0.5, ge=0, le=1, description="largest distance of modes that join, as a share of the radius in color"
     )
     min_size: int = Field(20, ge=1, le=10**8, description="smaller regions join a neighbor, pixels")
 

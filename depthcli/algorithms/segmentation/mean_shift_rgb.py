@@ -17,7 +17,7 @@ _MAX_ITERATIONS, _CONVERGED_SHIFT = 5, 1  # OpenCV's defaults; shift: pixels, pl
 class MeanShiftRgb(Segmenter):
     """Move every pixel a few steps towards its mode, in RGB and a square window; adjacent similar modes form a region.
 
-    Up to five steps, as in OpenCV: faster than ``mean_shift``, with regions that are less sure.
+    Like OpenCV, it makes up to five steps. It is faster than ``mean_shift``, and its regions are less reliable.
     """
 
     spatial_radius: float = Field(5.0, gt=0, le=50, description="hs, radius of the window, pixels")

@@ -136,7 +136,7 @@ class Camera:
     def undistorted(
         self, pixels: NDArray[np.floating[Any]], rotation: NDArray[np.float64], projection: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the pixels (N, 2) of an undistorted camera, turned by ``rotation``, that show what ``pixels`` show."""
+        """Return where an undistorted camera, turned by ``rotation``, shows the points at ``pixels``, (N, 2)."""
         if len(pixels) == 0:
             return np.zeros((0, 2))
         undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints

@@ -67,7 +67,7 @@ class Rig:
         Parameters
         ----------
         size, right_size : (width, height) of the two cameras' images, as in the calibration
-        alpha : 0 keeps only what both images show, 1 all that either shows; -1 is OpenCV's choice in between
+        alpha : 0 keeps only pixels with image content, 1 keeps all pixels; -1 is OpenCV's default in between
         mirrored : True allows the right camera to be left of the left one; otherwise this is an InputError
         max_tilt : largest ratio of vertical to horizontal baseline; beyond it, InputError
         min_overlap : smallest share of the rectified image that both cameras must see, or InputError

@@ -1,4 +1,4 @@
-"""Protocols: how a benchmark, or a kind of ground truth, scores a map and how that is shown; one file each.
+"""Protocols: the rules by which a benchmark, or a kind of ground truth, scores and shows a map; one file each.
 
 The folder is the registry. ``_disparity`` has the common part of the protocols of disparity maps: ``middlebury_v2``,
 ``middlebury_v3``, ``eth3d``, ``kitti_2012``, ``kitti_2015``, ``scene_flow`` and ``booster``. ``depth`` scores depth
@@ -35,7 +35,7 @@ from depthcli.show.view import KIND_COLORS, Palette, Picture, SliceAxis, View, d
 
 @dataclass(frozen=True, eq=False)
 class ShownMap(View):
-    """A run's map as it is shown, read without a look at any truth."""
+    """A run's map as it is shown, read without ground truth."""
 
     # Heading with unit -> number, by which scenes are ordered: larger is worse, the first counts most.
     figures: dict[str, float] = field(default_factory=dict)
@@ -45,7 +45,7 @@ class ShownMap(View):
 def companions(
     path: Path, files: MapFiles, unit: float = 1.0, read: Callable[[Path], NDArray[Any]] = read_plane
 ) -> dict[str, Any]:
-    """Return ``confidence`` and ``bound``, times ``unit``, in the folder of a map, as far as they can be read."""
+    """Return ``confidence`` and ``bound``, times ``unit``, of a map's folder, if they can be read."""
     confidence: dict[str, NDArray[Any]] = {}
     for name, file in files.planes(path).items():
         with contextlib.suppress(InputError):
@@ -68,7 +68,7 @@ def _first_image(scene: Scene) -> NDArray[np.uint8] | None:
 
 @dataclass(frozen=True)
 class Presentation:
-    """How a protocol's tables are worded and its maps are shown; it computes no score."""
+    """Words of a protocol's tables, and how its maps are shown; no scores."""
 
     title: str = ""  # heading of the tables
     unit: str = ""  # of the errors
@@ -78,11 +78,11 @@ class Presentation:
     scene_rows: bool = True  # tables have a row for every scene in addition to the means
     quantity: str = "value"  # quantity of a map, in a word
     threshold_axis: str = "threshold"  # label of a plot's axis
-    error_pictures: bool = False  # a picture of right, wrong and missing pixels is written for every map
+    error_pictures: bool = False  # a picture of correct, incorrect and missing pixels is written for every map
     visible_region: str = ""  # name of the region that both views see, pixels outside being shown as occluded; or empty
     palette: Palette = field(default_factory=dict)  # colors and words of a map's status map
     opacity: float = 1.0  # initial one of a map's colors over the scene's image, 0 to 1
-    verdicts: tuple[str, str] = ("right", "wrong")  # words for a pixel that is right, and for one that is wrong
+    verdicts: tuple[str, str] = ("correct", "incorrect")  # words for a pixel that is correct, and for one that is not
     scale: tuple[float, float] | None = None  # of the colors if no truth is known; None: by the map
     # Returns one run's map as it is shown if no truth is known; raises InputError if it cannot be read.
     show: Callable[[Path, Scene, MapFiles], ShownMap] = lambda path, _, files: ShownMap(
@@ -114,7 +114,7 @@ class Presentation:
 
 
 class Truth(typing.Protocol):
-    """What every prepared ground truth has, whatever the number of axes of its arrays."""
+    """The common members of all prepared ground truths; arrays can have any number of axes."""
 
     @property
     def regions(self) -> Mapping[str, NDArray[np.bool_]]:
@@ -130,7 +130,7 @@ class Truth(typing.Protocol):
 
     @property
     def looks_like(self) -> str:
-        """Other protocols that such a truth is usually scored by; empty if this one fits."""
+        """Other protocols that usually score such a ground truth; empty if this one fits."""
 
 
 Estimate = TypeVar("Estimate")
@@ -154,13 +154,13 @@ class Settings:
 
 
 class Protocol(ABC, Generic[Estimate, TruthT]):
-    """How one benchmark scores: an estimate and a scene's truth in, scores out, and the pooling of several scenes.
+    """The rules of one benchmark: from an estimate and the ground truth to scores, and the pooling of several scenes.
 
     ``truth`` prepares a scene's ground truth once and ``read`` one run's estimate for it; all other methods open no
     file. Boolean and error arrays have the shape of the regions.
 
     A protocol has to have the attributes without a default, ``truth``, ``read``, ``values``, ``error`` and ``scores``,
-    and ``wrong`` if the headline has no threshold. Everything else is overridden where a benchmark differs.
+    and ``wrong`` if the headline has no threshold. A protocol overrides the other members if its benchmark differs.
     """
 
     kind: ClassVar[type[Scene]]  # of scene that is scored
@@ -190,7 +190,7 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
 
     @abstractmethod
     def read(self, path: Path, scene: Scene, truth: TruthT) -> Estimate:
-        """Return one run's estimate. Raise InputError if the file is damaged or does not fit the truth."""
+        """Return one run's estimate. Raise InputError if the file is damaged or does not fit the ground truth."""
 
     def read_confidence(self, path: Path, truth: TruthT) -> NDArray[Any]:
         """Return a confidence map as stored, NaN and infinite values included. Raise InputError for another size."""
@@ -208,7 +208,7 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
         """Return the absolute error of every pixel, in the unit of the errors; NaN without estimate or truth."""
 
     def bounded_error(self, estimate: Estimate, truth: TruthT) -> NDArray[np.floating[Any]]:
-        """Return the absolute error that bounds of a run are of, as ``error`` does."""
+        """Return the absolute error that a run's bounds limit, in the form of ``error``."""
         return self.error(estimate, truth)
 
     def wrong(self, estimate: Estimate, truth: TruthT) -> NDArray[np.bool_]:
@@ -228,7 +228,7 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
     def curves(
         self, estimate: Estimate, truth: TruthT, confidences: Mapping[str, NDArray[Any]]
     ) -> list[ConfidenceCurve]:
-        """Compute the sparsification curves of every confidence map, of wrong pixels and of the error."""
+        """Compute the sparsification curves of every confidence map, of incorrect pixels and of the error."""
         if not confidences:
             return []
         regions, error, wrong = truth.regions, self.error(estimate, truth), self.wrong(estimate, truth)
@@ -245,7 +245,7 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
         return curves
 
     def points(self, estimate: Estimate, truth: TruthT) -> tuple[list[dict[str, float]], Any]:
-        """Return a table of points whose truth is known, and what ``mean`` needs of them; ([], None) for maps."""
+        """Return a table of points with known ground truth, and data for ``mean``; ([], None) for maps."""
         return [], None
 
     def mean(self, results: Sequence[MapResult]) -> list[Score]:
@@ -294,7 +294,7 @@ def picture(
 ) -> Picture | None:
     """Return the (H, W, 3) RGB error picture, in the colors of the legend; None if the presentation has none.
 
-    ``wrong``: the wrong pixels; None: by the headline.
+    ``wrong``: the incorrect pixels; None: by the headline.
     """
     if not protocol.presentation.error_pictures:
         return None

@@ -1,4 +1,4 @@
-"""Common part of the stereo protocols: disparity maps and their truth, and warnings about wrong scales."""
+"""Common part of the stereo protocols: disparity maps and their ground truth, and warnings about incorrect scales."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _MAX_KITTI_KNOWN = 0.5  # of a laser scanner's truth, which has about 20 %, with
 
 
 def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
-    """Return a run's map with the shares of pixels that are inconsistent, by its status, and that have no value."""
+    """Return a run's map with the shares of inconsistent pixels (by its status) and of pixels without a value."""
     values, file = read_disparity(path), files.companion(path, "status.png")
     figures = {"left-right inconsistent, %": np.nan, "no value, %": 100.0 * float(np.isnan(values).mean())}
     if file is not None:
@@ -53,7 +53,7 @@ PRESENTATION = Presentation(
 
 @dataclass(frozen=True)
 class DisparityTruth:
-    """Ground truth of the left view, ready to be compared with."""
+    """Ground truth of the left view, prepared for comparisons."""
 
     values: Disparity  # (H, W) float32, pixels, NaN = unknown
     masks: Mapping[str, NDArray[np.bool_]]  # name -> (H, W), True = evaluate
@@ -65,12 +65,12 @@ class DisparityTruth:
     looks_like: str = ""  # other protocols that such a truth is usually scored by
 
     def reference(self, region: str) -> Disparity:
-        """Return the values that a region is compared with: the values of ``noc`` for its regions."""
+        """Return the true values for a region; regions of ``noc`` can have values of their own."""
         return self.noc if self.noc is not None and region.startswith("noc") else self.values
 
     @cached_property
     def regions(self) -> Masks:
-        """The pixels of the masks whose truth is known."""
+        """The pixels of the masks with known ground truth."""
         return {name: mask & ~np.isnan(self.reference(name)) for name, mask in self.masks.items()}
 
     @property
@@ -81,9 +81,9 @@ class DisparityTruth:
 class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     """A protocol for (H, W) float32 disparity maps in pixels, NaN = no value.
 
-    One that derives from it adds ``presentation``, ``thresholds`` of the tables and ``default_threshold`` of the
-    headline, in pixels. It may replace ``masks``, the regions that are judged, ``scores``, which gets the errors of
-    every region from ``tallies``, and ``values``, if maps are changed before they are compared.
+    A derived protocol adds ``presentation``, ``thresholds`` of the tables and ``default_threshold`` of the headline,
+    in pixels. It may replace ``masks``, which defines the regions, ``scores``, which gets the errors of every region
+    from ``tallies``, and ``values``, if maps are changed before the comparison.
     """
 
     kind = StereoScene
@@ -135,8 +135,8 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
         """Return the map in pixels; 8-bit codes have the truth's scale if the settings have none.
 
-        The setting ``invalid`` is no value; without it, constants of another program's map are none, with a warning.
-        A scale that looks wrong is a warning, too.
+        The setting ``invalid`` means no value. Without it, frequent constants in another program's map mean no value,
+        with a warning. A scale that looks incorrect also gives a warning.
         """
         codes = truth.scale if truth.scale is not None and truth.scale < 256 else None
         scale = scale_of(path, self.settings.scale, self.settings.any_scale)
@@ -156,11 +156,11 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         return estimate
 
     def lowest(self, truth: DisparityTruth) -> float:
-        """Return the smallest number of an estimate that is a value: 0, but any where the truth is negative, too."""
+        """Return the smallest number that counts as a value: 0, or less if the ground truth is negative, too."""
         return -np.inf if np.nanmin(truth.values, initial=np.float32(0)) < 0 else 0.0
 
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """Return the values that are compared, here the estimate without values below the lowest one."""
+        """Return the values that are compared: the estimate without values below :meth:`lowest`."""
         fitted = self.resized(estimate, truth)
         with np.errstate(invalid="ignore"):
             return np.where(fitted < self.lowest(truth), np.float32(np.nan), fitted)
@@ -192,7 +192,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
 
 
 def difference(estimate: Disparity, truth: Disparity) -> Disparity:
-    """Return the absolute difference in single precision; NaN where one of the two has no value."""
+    """Return the absolute difference in single precision; NaN if one of the two has no value."""
     with np.errstate(over="ignore", invalid="ignore"):
         return abs(estimate - truth)
 
@@ -211,10 +211,10 @@ _SCALES = (2.0, 3.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0)  # factors of cod
 
 
 def scale_warning(estimate: Disparity, truth: Disparity) -> str | None:
-    """Return a warning where the estimate looks like the truth in another unit, the most frequent mistake.
+    """Return a warning if the estimate looks like the ground truth in another unit, a frequent mistake.
 
-    That is so if the ratio estimate / truth of half of the pixels is within 8 % of one factor: a power of two,
-    3, one of their reciprocals, or -1 for a swapped sign. None: no warning.
+    The condition is that the ratio of estimate to truth is within 8 % of one factor at half of the pixels: a power of
+    two, 3, a reciprocal of these, or -1 for a swapped sign. None: no warning.
     """
     with np.errstate(invalid="ignore"):
         both = ~np.isnan(estimate) & (truth > 0.5)

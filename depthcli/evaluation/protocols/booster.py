@@ -10,8 +10,8 @@ from depthcli.evaluation.protocols._disparity import PRESENTATION, DisparityProt
 class BoosterProtocol(DisparityProtocol):
     """Bad-pixel rates at 2, 4, 6 and 8 px and average errors; missing values count as bad.
 
-    The regions come from the files: all pixels with a true disparity, pixels that both views show, and the classes of
-    materials from ``class_0`` to ``class_3`` (transparent or a mirror).
+    The regions come from the files: all pixels with a true disparity, pixels that both views show, and classes of
+    materials, ``class_0`` to ``class_3`` (transparent, or a mirror).
     """
 
     presentation = replace(PRESENTATION, title="Booster: bad pixels, %; missing counts as bad", scene_rows=True)

@@ -27,12 +27,12 @@ from depthcli.show.view import DEPTH_STATUS_PALETTE
 Depth = NDArray[np.float32]
 
 _RATIOS = (1.05, 1.10, 1.25, 1.25**2, 1.25**3)  # of delta, as in ClearGrasp and the evaluations of NYU
-_WRONG_RATIO = 1.05  # from which on a pixel is shown as wrong: the smallest of delta
+_WRONG_RATIO = 1.05  # ratio from which on a pixel is shown as incorrect: the smallest of delta
 
 
 @dataclass(frozen=True)
 class DepthTruth:
-    """True depth, ready to be compared with."""
+    """True depth, prepared for comparisons."""
 
     depth: Depth  # (H, W) float32, meters, NaN = unknown
     regions: dict[str, NDArray[np.bool_]]  # name -> (H, W), pixels with known truth
@@ -59,7 +59,7 @@ def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
 
 
 def _sensor(scene: Scene) -> NDArray[np.float64] | None:
-    """Return the sensor's depth in mm, registered to the color image; None where it cannot be read."""
+    """Return the sensor's depth in mm, registered to the color image; None if it cannot be read."""
     if not isinstance(scene, RgbdScene):
         return None
     try:
@@ -72,11 +72,11 @@ def _sensor(scene: Scene) -> NDArray[np.float64] | None:
 class DepthProtocol(Protocol[Depth, DepthTruth]):
     """Mean and root-mean-square errors, relative errors, and shares of pixels within a ratio of the truth.
 
-    The metrics come from the depth completion literature: MAE and RMSE in millimeters, REL the mean of
-    ``|z - z_true| / z_true``, and delta, the percentage of pixels with ``max(z / z_true, z_true / z)`` below 1.05, 1.10
-    and 1.25 (ClearGrasp's ``eval_depth_completion.py``, TransCG's ``utils/metrics.py``) and below 1.25 squared and
-    cubed (the convention of NYU). If the sensor's focal length x baseline is known, ``MAE px`` and ``bad 1 px`` are
-    the same errors in pixels of its disparity. All are over the estimated pixels; ``coverage`` is their share.
+    The metrics come from the depth completion literature: MAE and RMSE in millimeters, REL the mean of ``|z - z_true|
+    / z_true``, and delta, the percentage of pixels with ``max(z / z_true, z_true / z)`` below 1.05, 1.10 and 1.25
+    (ClearGrasp's ``eval_depth_completion.py``, TransCG's ``utils/metrics.py``) and below 1.25 squared and cubed (the
+    convention of NYU). If the sensor's focal length x baseline is known, ``MAE px`` and ``bad 1 px`` are the same
+    errors in pixels of its disparity. All figures are over the estimated pixels; ``coverage`` is their share.
     """
 
     kind = RgbdScene
@@ -125,7 +125,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         return DepthTruth(depth, ordered, stored.fb, scene.depth_scale)
 
     def read(self, path: Path, scene: Scene, truth: DepthTruth) -> Depth:
-        """Return the map in meters; integer codes have the truth's scale where the settings have none."""
+        """Return the map in meters; integer codes have the scale of the ground truth if the settings have none."""
         scale, floats = self.settings.scale or truth.scale, self.settings.any_scale
         estimate = self._resized(read_depth(path, scale, invalid=self.settings.invalid, scale_floats=floats))
         if estimate.shape != truth.depth.shape:
@@ -203,6 +203,6 @@ def _delta(tally: Tally, ratios: NDArray[np.float64], limit: float) -> Score:
 
 
 def _ratio(estimate: Depth, truth: Depth) -> NDArray[np.float64]:
-    """Return the larger of z / z_true and z_true / z; NaN where one is unknown."""
+    """Return the larger of z / z_true and z_true / z; NaN if one is unknown."""
     quotient = estimate.astype(np.float64) / truth
     return np.maximum(quotient, 1.0 / quotient)

@@ -16,8 +16,8 @@ MISSING_NOT_COUNTED = "estimated pixels only; an empty map counts as bad"
 class Eth3dProtocol(DisparityProtocol):
     """Bad pixels among the estimated ones, with their coverage.
 
-    Values, negative ones included, are neither clipped nor rounded; one beyond the image's width counts as missing.
-    A map without any value is 100 % bad. The quantile A_q is element floor(q n / 100) of the n sorted errors.
+    Values may be negative; they are neither clipped nor rounded. A value larger than the image's width counts as
+    missing. A map without any value is 100 % bad. The quantile A_q is element floor(q n / 100) of the n sorted errors.
     """
 
     presentation = replace(
@@ -30,11 +30,11 @@ class Eth3dProtocol(DisparityProtocol):
     thresholded_metric = Metric("bad", "%", convention=MISSING_NOT_COUNTED, worst=100.0)
 
     def lowest(self, truth: DisparityTruth) -> float:
-        """Return the image's width with a minus: negative values count, as in the program."""
+        """Return minus the image's width: negative values count, as in the benchmark's program."""
         return -float(truth.values.shape[1])
 
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """Return the estimate without the values, of either sign, that are beyond the image's width."""
+        """Return the estimate without values whose size exceeds the image's width."""
         fitted = super().values(estimate, truth)
         with np.errstate(invalid="ignore"):
             return np.where(fitted > fitted.shape[1], np.float32(np.nan), fitted)

@@ -40,13 +40,13 @@ def mean_of_frames(scores: Sequence[Score], weights: Sequence[float]) -> Score:
 
 
 class Kitti2012Protocol(DisparityProtocol):
-    """Outliers and average errors, on the background-interpolated map and on the estimated pixels; frames averaged.
+    """Outliers and average errors, on the map filled from the background and on estimated pixels; means over frames.
 
-    The map is scored as the 16-bit PNG that would be submitted: multiples of 1/256 px, negative values missing.
+    The map is scored like the 16-bit PNG of a submission: in multiples of 1/256 px, with negative values missing.
     ``noc`` is compared with the values of ``disp_noc``. A row that is still empty after the interpolation has the
-    value -1, as in the kit: its pixels are wrong, and this value enters the average error. A map without any value in a
-    region scores 0 on its estimated pixels, as in the kit, and counts as 0 in the mean; its density shows it. A missing
-    map counts as entirely wrong, as in all protocols.
+    value -1, as in the kit: its pixels are incorrect, and this value enters the average error. A map without any value
+    in a region scores 0 on its estimated pixels, as in the kit, and counts as 0 in the mean; its density shows this.
+    All pixels of a missing map are incorrect, as in all protocols.
     """
 
     presentation = replace(
@@ -66,12 +66,12 @@ class Kitti2012Protocol(DisparityProtocol):
     thresholded_metric = Metric("out", "%", convention=INTERPOLATED, worst=100.0)
 
     def masks(self, stored: StereoTruth) -> Masks:
-        """Return ``noc``, the visible pixels, where there is such a file, and ``occ``, all pixels."""
+        """Return ``noc``, the visible pixels, if there is such a file, and ``occ``, all pixels."""
         known = {"occ": known_kitti(stored.disparity)}
         return known if stored.noc is None else {"noc": known_kitti(stored.noc), **known}
 
     def truth(self, scene: Scene) -> DisparityTruth:
-        """Return the ground truth, for which there is no better protocol."""
+        """Return the ground truth; no other protocol fits it better."""
         return replace(super().truth(scene), looks_like="")
 
     def lowest(self, truth: DisparityTruth) -> float:
@@ -113,7 +113,7 @@ class Kitti2012Protocol(DisparityProtocol):
 
 
 def known_kitti(disparity: Disparity) -> NDArray[np.bool_]:
-    """Return True for pixels with a value, which negative ones are not."""
+    """Return True for pixels with a value; negative numbers are none."""
     with np.errstate(invalid="ignore"):
         return disparity >= 0
 
@@ -121,9 +121,9 @@ def known_kitti(disparity: Disparity) -> NDArray[np.bool_]:
 def interpolate_background(disparity: Disparity) -> Disparity:
     """Fill missing values as the KITTI development kit does before it takes D1.
 
-    Along rows, a run between two values gets the smaller of them; then the first and last value of a
-    row are extended to its borders; then the first and last filled row of a column to top and bottom.
-    Only a row without any value between others stays empty.
+    First, a gap between two values of a row gets the smaller value. Second, the first and last value of a row are
+    extended to its borders. Third, the first and last filled row of a column are extended to top and bottom. Only rows
+    without any value between other rows stay empty.
     """
     known = ~np.isnan(disparity)
     width = disparity.shape[1]

@@ -23,7 +23,7 @@ from depthcli.io.stereo_pairs import StereoTruth
 
 
 def pool_pixels(scores: Sequence[Score], weights: Sequence[float]) -> Score:
-    """Return a score over all pixels of all frames: wrong pixels / all pixels, or the mean error."""
+    """Return a score over all pixels of all frames: incorrect pixels / all pixels, or the mean error."""
     pixels, n_region = sum(s.pixels for s in scores), sum(s.region_pixels for s in scores)
     counts = [s.wrong for s in scores if s.wrong is not None]
     value = density = math.nan
@@ -40,12 +40,13 @@ def pool_pixels(scores: Sequence[Score], weights: Sequence[float]) -> Score:
 
 
 class Kitti2015Protocol(Kitti2012Protocol):
-    """D1: more than 3 px and at least 5 % of the truth off; pixels pooled over all frames.
+    """D1: the share of pixels off by more than 3 px and at least 5 % of the ground truth, pooled over all frames.
 
-    A quotient of exactly 5 % counts as wrong: in single precision it is a little above. ``occ_bg`` and ``occ_fg`` are
-    the background and the objects of ``occ``, likewise for ``noc``; they are never averaged into one figure. The
-    outliers and average errors of KITTI 2012 are reported with D1, pooled too. The pooled density counts all pixels of
-    frames without any estimate, as the kit's sums do; where no frame has one, the estimated pixels score 0.
+    An error of exactly 5 % counts as incorrect, because in single precision it is a little larger. ``occ_bg`` and
+    ``occ_fg`` are the background and the objects of ``occ``, likewise for ``noc``; they are never averaged into one
+    figure. The outliers and average errors of KITTI 2012 are also reported, pooled in the same way. The pooled density
+    counts all pixels of frames without any estimate, like the kit's sums. If no frame has an estimate, the estimated
+    pixels score 0.
     """
 
     presentation = replace(
@@ -68,7 +69,7 @@ class Kitti2015Protocol(Kitti2012Protocol):
             self.headline = _d1(INTERPOLATED)
 
     def masks(self, stored: StereoTruth) -> Masks:
-        """Return all pixels of ``occ`` and ``noc``, and their background and objects where there is an object map."""
+        """Return all pixels of ``occ`` and ``noc``, and, if there is an object map, their background and objects."""
         masks = super().masks(stored)
         if stored.objects is not None:
             for name in list(masks):
@@ -76,7 +77,7 @@ class Kitti2015Protocol(Kitti2012Protocol):
         return masks
 
     def wrong(self, estimate: Disparity, truth: DisparityTruth) -> NDArray[np.bool_]:
-        """Return True where the D1 rule, or the user's threshold, is broken."""
+        """Return True for pixels that are incorrect by the D1 rule or the user's threshold."""
         if self.settings.threshold is not None:
             return super().wrong(estimate, truth)
         return is_d1(difference(self.values(estimate, truth), truth.values), truth.values)
@@ -86,7 +87,7 @@ class Kitti2015Protocol(Kitti2012Protocol):
 
 
 def is_d1(error: Disparity, truth: Disparity) -> NDArray[np.bool_]:
-    """Return True where an error is above 3 px and at least 5 % of the truth, which may be 0; False for NaN."""
+    """Return True for errors above 3 px and at least 5 % of the ground truth, which may be 0; False for NaN."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return (error > 3) & ((error / np.abs(truth)).astype(np.float64) > 0.05)
 

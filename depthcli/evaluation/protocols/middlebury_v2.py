@@ -18,7 +18,7 @@ class MiddleburyV2Protocol(DisparityProtocol):
 
     A pixel is bad if ``|d - d_true| > t`` or if it has no value (Scharstein & Szeliski, IJCV 2002, eq. 2; the
     online evaluation's rule for missing values). The average and root-mean-square errors are over the
-    estimated pixels. Masks that the files do not give are derived where both views' truth is known.
+    estimated pixels. Missing masks are derived if the ground truth of both views is known.
     """
 
     presentation = replace(PRESENTATION, title="Middlebury v2: bad pixels, %; missing counts as bad", scene_rows=False)
@@ -27,7 +27,7 @@ class MiddleburyV2Protocol(DisparityProtocol):
     averages_regions = True
 
     def masks(self, stored: StereoTruth) -> Masks:
-        """Return the masks of the files, and derived ones in place of those that are missing."""
+        """Return the masks of the files; missing masks are derived."""
         masks = super().masks(stored)
         if stored.right is not None and stored.right.shape == stored.disparity.shape:
             masks = {**derive_masks(stored.disparity, stored.right, masks.get("nonocc")), **masks}
@@ -37,12 +37,12 @@ class MiddleburyV2Protocol(DisparityProtocol):
 def derive_masks(
     left: NDArray[np.float32], right: NDArray[np.float32], nonocc: NDArray[np.bool_] | None = None
 ) -> dict[str, NDArray[np.bool_]]:
-    """Compute evaluation masks from the ground truth of both views, as the Middlebury v2 ones were made.
+    """Compute evaluation masks from the ground truth of both views, in the way of Middlebury v2.
 
     Parameters
     ----------
     left, right : (H, W) float32, pixels, NaN = unknown
-    nonocc : (H, W) bool, where a better one is known than the one that would be derived
+    nonocc : (H, W) bool, a known mask that replaces the derived one
 
     Returns
     -------

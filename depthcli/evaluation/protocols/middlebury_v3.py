@@ -32,14 +32,14 @@ _MAX_RANGES = 1000  # a value beyond so many search ranges is no value, as the S
 
 
 class MiddleburyV3Protocol(DisparityProtocol):
-    """Metrics of the SDK.
+    """The metrics of the SDK.
 
-    Maps of half or quarter size are scaled up; values are clipped to the search range at their own size, and
-    rounded where the truth is whole pixels. ``bad`` counts wrong values and ``invalid`` missing ones, both over all
-    pixels; ``totbad`` is their sum. ``avgerr`` (summed in single precision, as there), ``rms`` and the quantiles
-    ``A50`` ... are over the valid pixels; +inf and NaN are missing, -inf is the low end of the range. The quantile A_q
-    is the smallest error that at least q percent of the valid pixels do not exceed. Thresholds are pixels of the full
-    size: at quarter size 2.0 is applied as 0.5, so that the headline means the same at every size.
+    Maps of half or quarter size are scaled up; values are clipped to the search range at their own size, and rounded
+    if the ground truth is in whole pixels. ``bad`` counts incorrect values and ``invalid`` missing values, both over
+    all pixels; ``totbad`` is their sum. ``avgerr`` (summed in single precision, as in the SDK), ``rms`` and the
+    quantiles ``A50`` ... are over the valid pixels; +inf and NaN are missing, -inf is the low end of the range. The
+    quantile A_q is the smallest error that at least q percent of the valid pixels do not exceed. Thresholds are pixels
+    of the full size: at quarter size 2.0 is applied as 0.5, so that the headline means the same at every size.
     """
 
     presentation = replace(
@@ -72,7 +72,7 @@ class MiddleburyV3Protocol(DisparityProtocol):
         """Return the ground truth with the factor to the benchmark's full size.
 
         The factor follows from the setting ``resolution``; without it, from the width of a training scene of the
-        benchmark. Other scenes are taken for full size.
+        benchmark. Other scenes count as full size.
         """
         truth = super().truth(scene)
         name, resolution = scene.name.rpartition("/")[2], self.settings.resolution or "F"
@@ -81,14 +81,14 @@ class MiddleburyV3Protocol(DisparityProtocol):
         return replace(truth, factor=MIDDLEBURY_FACTORS[resolution])
 
     def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
-        """Return the map in pixels; -inf of a PFM stays, which the SDK clips to the search range like any number."""
+        """Return the map in pixels. -inf of a PFM stays, because the SDK clips it to the range like any number."""
         estimate = super().read(path, scene, truth)
         if path.suffix.lower() == ".pfm":
             estimate[np.isneginf(read_plane(path))] = -np.inf
         return estimate
 
     def resized(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """Return the estimate at the truth's size, nearest neighbor; only its exact half or quarter can be resized."""
+        """Return the estimate enlarged from half or a quarter to the size of the ground truth, by nearest neighbor."""
         factor = truth.values.shape[1] // estimate.shape[1]
         if factor not in (1, 2, 4) or truth.values.shape != tuple(factor * n for n in estimate.shape):
             raise ValueError(
@@ -103,7 +103,7 @@ class MiddleburyV3Protocol(DisparityProtocol):
         return -math.inf
 
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """Return the estimate scaled up, clipped to the range, and rounded where the truth is."""
+        """Return the estimate scaled up, clipped to the range, and rounded if the ground truth is."""
         fitted = self.resized(estimate, truth)
         if truth.max_disparity is not None:
             factor = truth.values.shape[1] // estimate.shape[1]
@@ -116,7 +116,7 @@ class MiddleburyV3Protocol(DisparityProtocol):
         return np.floor(fitted + np.float32(0.5)) if truth.round_disparity else fitted
 
     def wrong(self, estimate: Disparity, truth: DisparityTruth) -> NDArray[np.bool_]:
-        """Return True where the error is above the headline's threshold at this size."""
+        """Return True for pixels whose error exceeds the headline's threshold at this size."""
         assert self.headline.threshold is not None
         return self.error(estimate, truth) > np.float32(self.headline.threshold / truth.factor)
 

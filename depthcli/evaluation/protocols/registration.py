@@ -1,4 +1,4 @@
-"""Registration confidence: how well the expected error agrees with the true one, and orders points by it."""
+"""Registration confidence: agreement of expected and true error, and the order of points by the expected error."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from depthcli.show.view import SliceAxis
 Errors = NDArray[np.float32]
 
 LIMITS_MM = (3.0, 6.0)
-"""A point is correct below the first, poor below the second, and wrong from there on (Sokooti et al. 2019)."""
+"""A point is correct below the first limit, poor below the second, and incorrect above it (Sokooti et al. 2019)."""
 
 HEADLINE = Metric("Spearman", "", worst=-1.0, larger_is_better=True)
 """Rank correlation of expected and true errors."""
@@ -44,7 +44,7 @@ _LANDMARK_RADIUS = 1 / 64  # of its ball in pictures, in lengths of the volume; 
 
 @dataclass(frozen=True)
 class PreparedTruth:
-    """True registration errors and the points that they are known at."""
+    """True registration errors and the points at which they are known."""
 
     error: Errors  # (N,) float32, mm
     landmarks: NDArray[np.float64] | None  # (N, 3), (z, y, x) in voxels; None where the truth is dense
@@ -88,7 +88,7 @@ class ExpectedErrorFiles(MapFiles):
 
 
 def _on_grid(points: NDArray[Any], truth: PreparedTruth) -> NDArray[Any]:
-    """Return a volume as it is shown, in which a landmark is a small ball."""
+    """Return a volume to show, in which a landmark is a small ball."""
     grid = truth.stored.grid
     volume = np.full(grid.shape, False if points.dtype == np.bool_ else np.nan, points.dtype)
     if truth.inside is not None:
@@ -112,7 +112,7 @@ def _turned(file: Path) -> NDArray[Any]:
 
 
 def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
-    """Return the expected error within the mask or the body, mm, turned as radiologists hang it."""
+    """Return the expected error within the mask or the body, mm, in the orientation of radiological pictures."""
     assert isinstance(scene, VolumePairScene)
     volume = read_volume(path)
     grid = volume.grid
@@ -131,7 +131,7 @@ def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
 
 
 def _tables(run: str, kept: Sequence[tuple[Errors, Errors]]) -> list[Table]:
-    """Return the confusion of the classes, and the expected against the true error in bins."""
+    """Return the confusion matrix of the classes, and the expected error in bins of the true error."""
     expected, true = map(np.concatenate, zip(*kept, strict=True))
     known = np.isfinite(expected)
     expected, true = expected[known], true[known]
@@ -182,9 +182,9 @@ def point_scores(region: str, expected: Errors, true: Errors) -> list[Score]:
 
 
 class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
-    """Agreement of expected and true errors, mm, at landmarks, or at every voxel where the true error is dense.
+    """Agreement of expected and true errors, mm, at landmarks, or at every voxel if the true error is dense.
 
-    TRE, the true errors themselves, measure the registration, and are the same for every method; TRE30 is the
+    TRE, the true error, measures the registration and is the same for every method; TRE30 is the
     mean of the worst 30 % (Learn2Reg's robustness). Means over several pairs are taken over all of their points
     together.
     """
@@ -243,7 +243,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         return abs(estimate - truth.error)
 
     def bounded_error(self, estimate: Errors, truth: PreparedTruth) -> NDArray[np.floating[Any]]:
-        """Return (N,) true errors, mm, which a bound is of."""
+        """Return (N,) true errors, mm, which a bound limits."""
         return np.where(np.isfinite(estimate), truth.error, np.float32(np.nan))
 
     def wrong(self, estimate: Errors, truth: PreparedTruth) -> NDArray[np.bool_]:
@@ -257,7 +257,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
     def points(self, estimate: Errors, truth: PreparedTruth) -> tuple[list[dict[str, float]], tuple[Errors, Errors]]:
         """Return place, expected and true error of every landmark, mm; and expected and true errors of all points.
 
-        Where the true error is dense there is no table.
+        There is no table if the true error is dense.
         """
         rows = zip(*truth.stored.points.T, estimate, truth.error, strict=True) if truth.inside is None else ()
         names = ("x", "y", "z", "expected_error", "true_error")
@@ -307,7 +307,7 @@ def _axes(grid: Grid) -> tuple[SliceAxis, ...]:
 
 
 def _drawn(points: tuple[Errors, Errors], share: float) -> tuple[Errors, Errors]:
-    """Return expected and true errors of a share of the points, or of all where it is not below 1."""
+    """Return expected and true errors of a share of the points; all if it is 1 or more."""
     if share >= 1:
         return points
     expected, true = points

@@ -1,4 +1,4 @@
-"""The evaluation of the Scene Flow datasets that the literature of networks has settled on."""
+"""The evaluation of the Scene Flow data sets that is usual in papers on networks."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_IS_BAD, Metric, S
 from depthcli.io.stereo_pairs import StereoTruth
 
 _RANGE = 192.0  # pixels: true disparities from here on are not evaluated
-_WRONG = 3.0  # pixels, from which on a pixel is shown as wrong
+_WRONG = 3.0  # pixels; a larger error is shown as incorrect
 
 
 class SceneFlowProtocol(DisparityProtocol):
     """End-point error over the pixels whose true disparity is between 0 and 192 px (as GwcNet and RAFT-Stereo).
 
-    ``avgerr`` is the end-point error, over the estimated pixels; ``bad`` counts errors above 1, 2 and 3 px and ``D1``
-    those above 3 px and 5 % of the truth, both with missing values as bad. Every frame counts once in a mean.
+    ``avgerr`` is the end-point error over the estimated pixels. ``bad`` counts errors above 1, 2 and 3 px, and ``D1``
+    counts errors above 3 px and 5 % of the ground truth; missing values are bad in both. In a mean, all frames have
+    one weight.
     """
 
     presentation = replace(
@@ -44,7 +45,7 @@ class SceneFlowProtocol(DisparityProtocol):
         return {name: mask & inside for name, mask in super().masks(stored).items()}
 
     def wrong(self, estimate: Disparity, truth: DisparityTruth) -> NDArray[np.bool_]:
-        """Return True where the error is above 3 px, or the user's threshold."""
+        """Return True for pixels whose error exceeds 3 px, or the user's threshold."""
         return self.error(estimate, truth) > np.float32(self.settings.threshold or _WRONG)
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:

@@ -400,7 +400,7 @@ _KEYS: tuple[Callable[[str, str], str], ...] = (
 def named_pairs(values: Mapping[str, Any]) -> list[Scene]:
     """Return the pairs that ``left`` and ``right`` name: two images, patterns, folders or videos.
 
-    With ``halves``, or for an MPO file, the files of ``left`` hold both views.
+    With ``halves``, or for an MPO file, the files of ``left`` contain both views.
     """
     left, right, halves = map(values.get, ("left", "right", "halves"))
     if halves is not None and halves not in (LEFT_RIGHT, TOP_BOTTOM):

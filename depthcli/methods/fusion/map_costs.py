@@ -146,7 +146,8 @@ def agreement(values: Map, maps: Map, weights: Floats) -> Map:
 def hidden_jumps(maps: Map, image: Image8, out: Map | None = None) -> Map:
     """Compute how far every map (N, H, W) jumps at pixels where the color does not change, in [0, 4].
 
-    Sum over the four neighbors of the step beyond one pixel, at most 1, times exp(-color difference / 10 levels).
+    Each of the four neighbors adds the part of its step beyond one pixel, at most 1, times exp(-color difference / 10
+    levels).
     """
     out = np.empty(maps.shape, np.float32) if out is None else out
     sameness = np.exp(np.arange(256) * -0.1).astype(np.float32)

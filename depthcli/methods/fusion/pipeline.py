@@ -134,8 +134,8 @@ class Fusion(AdjustingMatcher):
     )
     segments: SegmentSteps | None = Field(
         None,
-        description="stereo's segment pipeline without its cost: it then works on the fused costs, in the place of "
-        "optimization, refinement and confidence; null: not used",
+        description="segment pipeline of stereo, applied to the fused costs; it replaces optimization, refinement and "
+        "confidence; null: not used",
     )
     refinement: tuple[RefinementStep, ...] = Field((), description="steps on the disparity map, in order")
     maps: MapFusion | None = Field(
@@ -144,7 +144,7 @@ class Fusion(AdjustingMatcher):
     confidence: tuple[Annotated[str, AfterValidator(lambda n: measure_name(n, *_OWN_CONFIDENCES))], ...] = Field(
         (),
         description="confidence maps to write: measures of the final costs, 'consensus', the share of votes, or, with "
-        "maps, 'agreement', the share of maps, and, if a network chooses among them, its 'probability' to be right",
+        "maps, 'agreement', the share of maps, and, if a network chooses among them, its 'probability'",
     )
 
     @model_validator(mode="after")

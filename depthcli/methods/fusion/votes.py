@@ -107,7 +107,10 @@ class Consensus(ConfigModel):
         1, ge=0, le=16384, description="largest difference from its own disparity at which a vote still counts, pixels"
     )
     vote_cost: float = Field(
-        0.4, ge=0, le=1e3, description="cost of a disparity without votes, units of one measure; 0: votes only weigh"
+        0.4,
+        ge=0,
+        le=1e3,
+        description="cost of a disparity without votes, units of one measure; 0: votes are only used as weights",
     )
 
 

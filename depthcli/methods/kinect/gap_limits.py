@@ -26,7 +26,7 @@ _EXTRA_SHARE_SCALE = 2.0  # pixels between the shadow's width and the step over 
 
 
 class GapLimits(NamedTuple):
-    """The largest disparity that a shadow allows at each pixel; both (H, W) float32."""
+    """Limits of disparity in shadows; both arrays are (H, W) float32."""
 
     value: Floats  # pixels, inf outside gaps
     factor: Floats  # likelihood of surfaces above the limit, in (0, 1]; 1 outside gaps and without shadows

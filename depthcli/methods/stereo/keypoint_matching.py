@@ -38,7 +38,10 @@ class KeyPointMatching(ConfigModel):
     """Match key points along the rows of a rectified pair, see :meth:`__call__` and :func:`consistent`."""
 
     ratio: float = Field(
-        0.7, gt=0, le=1, description="largest distance of a match, share of the second candidate's; 1: no test"
+        0.7,
+        gt=0,
+        le=1,
+        description="largest distance of a match, as a share of the distance of the second candidate; 1: no test",
     )
     max_distance: float = Field(0.2, gt=0, le=2, description="largest distance of two descriptors of length 1")
     max_scale_ratio: float = Field(1.1, ge=1, le=100, description="largest ratio of the scales of two key points")

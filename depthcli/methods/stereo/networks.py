@@ -207,8 +207,12 @@ _Moment = Annotated[float, Field(ge=-1e6, le=1e6)]
 class MeanDeviation(ConfigModel):
     """Values ``(v - mean) / deviation`` of samples v in [0, 1], with one number for all channels or three, in RGB."""
 
-    mean: tuple[_Moment, ...] = Field(min_length=1, max_length=3, description="of all channels, or of red, green, blue")
-    deviation: tuple[_Moment, ...] = Field(min_length=1, max_length=3, description="standard deviations, as mean")
+    mean: tuple[_Moment, ...] = Field(
+        min_length=1, max_length=3, description="mean of all channels, or of red, green, blue"
+    )
+    deviation: tuple[_Moment, ...] = Field(
+        min_length=1, max_length=3, description="standard deviation of all channels, or of red, green, blue"
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

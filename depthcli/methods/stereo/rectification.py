@@ -27,7 +27,7 @@ _MIN_DISPARITY_SHARE = 0.02  # smallest disparity of the matches after rectifica
 
 
 def match_views(left: Image8, right: Image8) -> tuple[Points, Points]:
-    """Return matched key points (SIFT, mutual nearest neighbors, ratio test) of two (H, W) uint8 views, some wrong."""
+    """Return key points (SIFT, mutual nearest neighbors, ratio test) of two (H, W) uint8 views, with outliers."""
     found = []
     for image in (left, right):
         height, width = image.shape

@@ -67,7 +67,8 @@ class CrossModal(ConfigModel):
     """Stereo of infrared and color, mixed to resemble infrared: fused costs, planes over segments, reliable matches."""
 
     channels: Literal["early", "late", "r", "g", "b", "grey"] = Field(
-        "early", description="early: weighted by the sensor's depth; late: matched one by one; or one alone"
+        "early",
+        description="early: mixed, with weights fitted at the sensor's depth; late: matched one by one; or one alone",
     )
     median: Literal[0, 3, 5] = Field(
         0, description="window of the median of the infrared image, against speckles, pixels; 0: none"
@@ -79,7 +80,9 @@ class CrossModal(ConfigModel):
         default_factory=lambda: Fusion.model_validate(_MEASURES),
         description="a config of fuse without its optimization",
     )
-    structure: float = Field(4.0, gt=0, description="deviation in 9 x 9 below which costs fade, grey levels")
+    structure: float = Field(
+        4.0, gt=0, description="standard deviation in 9 x 9 windows below which costs fade, grey levels"
+    )
     planes: SegmentSteps = Field(
         default_factory=lambda: SegmentSteps.model_validate(_STEPS),
         description="planes over color segments, a config of stereo's segments",

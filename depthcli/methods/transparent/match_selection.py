@@ -30,13 +30,19 @@ class MatchSelection(ConfigModel):
     """
 
     margin: float = Field(
-        0.15, ge=0, description="how much cheaper a contradicting match is than the sensor's, in units of one measure"
+        0.15,
+        ge=0,
+        description="how much cheaper than the sensor's disparity a contradicting match must be, units of one measure",
     )
     blind_margin: float = Field(
-        0.1, ge=0, description="the same against the pixel's mean where the sensor has no depth"
+        0.1,
+        ge=0,
+        description="how much cheaper than the pixel's mean a match must be if the sensor has no depth",
     )
     consensus: float = Field(0.3, ge=0, le=1, description="share of votes that a match confirming the sensor needs")
-    texture: float = Field(4.0, ge=0, description="standard deviation in 9 x 9 that such a match needs, grey levels")
+    texture: float = Field(
+        4.0, ge=0, description="standard deviation in 9 x 9 that a match confirming the sensor needs, grey levels"
+    )
     speckle: int = Field(50, ge=0, description="regions of similar disparity with fewer pixels are removed")
     widening: int = Field(5, ge=0, le=64, description="distance by which stereo may make a surface too wide, pixels")
     tolerance: float = Field(1.5, ge=0, description="largest difference that confirms the sensor, pixels")

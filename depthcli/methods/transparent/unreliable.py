@@ -75,15 +75,19 @@ class UnreliableRegions(ConfigModel):
     model_error: float = Field(0.5, ge=0, description="share of the planes' deviation that is added to the noise")
     systematic: float = Field(0.0, ge=0, description="error that samples may share, standard deviations")
     contradiction: float = Field(
-        0.2, gt=0, le=0.5, description="mean of the samples of a plane at which the gain of scores starts, from 0"
+        0.2, gt=0, le=0.5, description="mean contradiction of a plane's samples from which the gain of scores rises"
     )
     reach: float = Field(
         0.011, gt=0, description="distance to samples where scores have fallen to exp(-1/2), share of the image width"
     )
     outline: float = Field(5.0, ge=0, description="cost per pixel of outlines where the color stays the same")
-    min_outline_share: float = Field(0.1, ge=0, le=1, description="share of it along a strong color edge")
-    color_scale: float = Field(12.0, gt=0, description="color difference where it falls to exp(-1/2), grey levels")
-    min_region_evidence: float = Field(2.0, ge=0, description="of a region's samples, standard deviations of their sum")
+    min_outline_share: float = Field(0.1, ge=0, le=1, description="share of outline along a strong color edge")
+    color_scale: float = Field(
+        12.0, gt=0, description="color difference at which outline falls to exp(-1/2), grey levels"
+    )
+    min_region_evidence: float = Field(
+        2.0, ge=0, description="smallest evidence of a region's samples, standard deviations of their sum"
+    )
     min_area: float = Field(0.0, ge=0, le=1, description="smallest area of a region, share of the image")
     min_sample_evidence: float = Field(0.5, ge=0, description="mean evidence of its samples, standard deviations")
 

@@ -41,18 +41,24 @@ class Dsrm(KinectPipeline):
     )
     model: Polynomial = Field(Polynomial(), description="model that is fitted to the inverse depth of a segment")
     jump: float = Field(5.0, gt=0, le=1000, description="a larger step is a depth edge, multiples of the noise")
-    min_probability: float = Field(0.8, ge=0, lt=1, description="less probable measurements are unreliable; 0: none")
+    min_probability: float = Field(
+        0.8, ge=0, lt=1, description="measurements with a smaller probability of being correct are unreliable; 0: none"
+    )
     shadows: bool | Side = Field(True, description=SHADOW_SIDES)
     min_known: int = Field(30, ge=1, description="number of known pixels of a segment that a model needs")
     min_share: float = Field(0.05, ge=0, le=1, description="share of a segment that has to be known for a model")
     join: bool = Field(True, description="segments without a model join one that has one; false: bilateral filling")
     detail_reach: float = Field(3.0, ge=0, le=100, description="reach of residuals added to the model, pixels; 0: none")
-    tolerance: float = Field(3.0, gt=0, description="tau: values that are off by more scales contradict the model")
-    smooth: bool = Field(True, description="replace values that agree with the model by it: less noise")
-    combination: Literal["median", "in_turn"] = Field(
-        "median", description="how layers are joined: their median; in_turn: each corrects the result of the finer ones"
+    tolerance: float = Field(
+        3.0, gt=0, description="tau: values that differ by more contradict the model, multiples of the scale of its fit"
     )
-    correction_band: int = Field(8, ge=0, le=64, description="in_turn: corrections reach so far from edges, pixels")
+    smooth: bool = Field(True, description="also replace values that agree with the model, which removes noise")
+    combination: Literal["median", "in_turn"] = Field(
+        "median", description="median of the layers; in_turn: each layer corrects the result of the finer layers"
+    )
+    correction_band: int = Field(
+        8, ge=0, le=64, description="in_turn: largest distance of corrections from edges, pixels"
+    )
     details: bool = Field(False, description="write the segments of every layer as pictures")
 
     def __call__(self, frame: RgbdFrame) -> DepthResult:

@@ -20,7 +20,7 @@ class Guided(FilterPipeline):
     bytes_per_pixel: ClassVar[int] = 250
 
     radius: int = Field(8, ge=1, le=100, description="radius of the filter's windows, pixels")
-    epsilon: float = Field(40.0, gt=0, description="variance of the color that counts as none, square grey levels")
+    epsilon: float = Field(40.0, gt=0, description="color variance up to which the filter smooths, squared grey levels")
 
     def filtered(self, frame: RgbdFrame, measured: Floats, noise: float) -> Floats:
         filled = nearest_fill(measured)

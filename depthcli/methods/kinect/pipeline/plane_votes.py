@@ -43,14 +43,22 @@ class PlaneVotes(KinectPipeline):
     }
 
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
-    min_probability: float = Field(0.8, gt=0, lt=1, description="less probable measurements are unreliable")
+    min_probability: float = Field(
+        0.8, gt=0, lt=1, description="measurements with a smaller probability of being correct are unreliable"
+    )
     min_vote_probability: float = Field(0.4, ge=0, lt=1, description="measurements less probable than this do not vote")
     opening_probability: float | None = Field(
-        0.6, gt=0, lt=1, description="largest where colors show an opening; null: not sought"
+        0.6,
+        gt=0,
+        lt=1,
+        description="largest probability of measurements where colors show an opening; null: not tested",
     )
     shadows: bool | Side = Field(True, description=SHADOW_SIDES)
     continued_share: float = Field(
-        0.3, ge=0, le=10, description="votes for surfaces continued into a gap, by paths and by dsrm: share of all each"
+        0.3,
+        ge=0,
+        le=10,
+        description="share of the votes for a surface continued into a gap, for paths and for dsrm each",
     )
     candidates: int = Field(4, ge=1, le=8, description="largest number of candidate surfaces per pixel")
     sigma_color: float = Field(11.0, gt=0, le=500, description="L1 difference in 8-bit Lab over which votes fade")

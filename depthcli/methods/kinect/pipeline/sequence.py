@@ -55,7 +55,9 @@ class Sequence(SequencePipeline, Dsrm):
     renamed: ClassVar[dict[str, str]] = {"most_changed": "max_changed", "longest": "max_age"}
 
     color_change: int = Field(10, ge=0, le=255, description="largest change of a still pixel's color, grey levels")
-    max_changed: float = Field(0.3, ge=0, le=1, description="with a larger share of changed pixels segments are new")
+    max_changed: float = Field(
+        0.3, ge=0, le=1, description="share of changed pixels above which segments are computed again"
+    )
     max_age: int = Field(30, ge=1, description="frames after which segments are computed again")
     drift: float = Field(1.0, ge=0, description="deviation of filled values per frame, multiples of the noise")
 

@@ -32,8 +32,10 @@ class ShadowSmoother(KinectPipeline):
 
     smoothness: float = Field(40.0, gt=0, description="lambda of the smoother")
     sigma_color: float = Field(4.0, gt=0, description="contrast that stops the smoothing, grey levels")
-    row_band: int = Field(8, ge=0, le=64, description="unreliable pixels in the row on the near side of an edge")
-    column_band: int = Field(2, ge=0, le=64, description="the same in the column")
+    row_band: int = Field(
+        8, ge=0, le=64, description="number of unreliable pixels along the row, on the near side of an edge"
+    )
+    column_band: int = Field(2, ge=0, le=64, description="the same along the column")
     edge_confidence: float = Field(0.003, ge=0, le=1, description="confidence of unreliable pixels at depth edges")
     shadow_confidence: float = Field(0.5, ge=0, le=1, description="confidence of values that continue into a shadow")
     shadows: bool | Side = Field(True, description=SHADOW_SIDES)

@@ -17,7 +17,9 @@ class LocalNcc(VolumeFeature):
     channels: ClassVar[int] = 1
 
     sigma: float = Field(2.0, gt=0.5, le=8, description="Gaussian window of mean and deviation, voxels")
-    floor: float = Field(0.05, gt=0, le=1, description="smallest local deviation, share of the whole volume's")
+    floor: float = Field(
+        0.05, gt=0, le=1, description="smallest local deviation, as a share of the deviation of the whole volume"
+    )
     outliers: float = Field(0.5, ge=0, lt=25, description="share of values cut off at either end of the range, percent")
 
     def __call__(self, fixed: VolumeArray, warped: VolumeArray) -> tuple[Channels, Channels]:

@@ -59,7 +59,7 @@ class RegistrationSearch(RegistrationPipeline):
         6_000_000,
         ge=1000,
         le=100_000_000,
-        description="larger volumes are read as means of blocks; also the most working voxels where iso is null",
+        description="larger volumes are read as means of blocks; also the limit of working voxels if iso is null",
     )
     intensity_range: tuple[float, float] | None = Field(
         None,
@@ -75,8 +75,8 @@ class RegistrationSearch(RegistrationPipeline):
         2.0,
         ge=0,
         le=8,
-        description="deviation of the Gaussian that expected errors are averaged with, each weighted by how narrow its "
-        "likelihood is, working voxels; the window's own is 2",
+        description="standard deviation of the Gaussian that averages expected errors, working voxels; "
+        "narrow likelihoods weigh more",
     )
     sharpness: int = Field(
         10, ge=1, le=40, description="power of the likelihoods: 0.5 / k, k in standard deviations of a curve"
@@ -86,7 +86,7 @@ class RegistrationSearch(RegistrationPipeline):
     )
     measure: str = Field(
         "eshift",
-        description="confidence measure that orders the voxels; one without a unit is fitted to the mm of eshift",
+        description="confidence measure that ranks the voxels; eshift converts a measure without a unit to mm",
     )
 
     @field_validator("measure")

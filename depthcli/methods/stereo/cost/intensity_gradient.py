@@ -34,7 +34,8 @@ class IntensityGradient(CostMeasure):
         None, description="largest difference of intensities and of gradients, grey levels; null: none"
     )
     outside: Annotated[float, Field(ge=0, le=5000)] | Literal["border"] = Field(
-        120.0, description="cost of a match outside the right image, grey levels; border: as in the nearest column"
+        120.0,
+        description="cost of a match outside the right image, grey levels; border: the cost of the nearest column",
     )
 
     bytes_per_cost = 4

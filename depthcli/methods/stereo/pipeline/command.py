@@ -65,25 +65,25 @@ class Program(StereoPipeline):
     renamed: ClassVar[dict[str, str]] = {"shell": "program: [sh, -c, 'LINE'], with \"$DEPTHCLI_LEFT\" for {left}"}
 
     timeout: _Seconds = Field(600.0, gt=0, le=1e7, description="time for a scene, such as 90 s, 10 min or 2 h")
-    version: str = Field("", coerce_numbers_to_str=True, description="any text: with another one it is another run")
+    version: str = Field("", coerce_numbers_to_str=True, description="any text; a run with another text is another run")
     parameters: dict[str, str | bool | _Integer | _Number] = Field(
         default_factory=dict, description="further placeholders and their values"
     )
     program: str | tuple[str, ...] = Field(
         validation_alias=AliasChoices("program", "run"),
-        description="program and arguments with placeholders, such as {left}, or {{ for a brace; run is the same key; "
-        "a shell's line gets values as variables instead, such as $DEPTHCLI_LEFT",
+        description="program and arguments with placeholders, such as {left}; {{ is a brace. run is the same key. "
+        "A shell reads variables instead, such as $DEPTHCLI_LEFT",
     )
     output: str | None = Field(
         None, min_length=1, description="name of the map in the program's folder; null: the name of {output}"
     )
     format: Literal["pfm", "kitti", "npy", "tiff", "png"] = Field(
         "pfm",
-        description="of the map: floats in pfm, npy and tiff; codes (see scale) in png, and in npy and tiff of "
-        "integers; kitti: png of 256 codes a unit",
+        description="format of the map: floats in pfm, npy and tiff; codes (see scale) in png, and in npy and tiff of "
+        "integers; kitti: png with 256 codes per pixel",
     )
     scale: float | None = Field(
-        None, gt=0, le=1e9, description="codes per unit of the map; null: floats 1, codes 256 a pixel"
+        None, gt=0, le=1e9, description="codes per pixel of the map; null: 1 for floats, 256 for integers"
     )
     invalid: tuple[_Number, ...] = Field(
         (), description="values of the file that mean no value, besides inf, nan, code 0"
@@ -91,7 +91,7 @@ class Program(StereoPipeline):
     images: Literal["png", "pgm", "ppm", "original"] = Field(
         "png",
         description="images that the program reads: png, grey or color as the pair is, 8 or 16 bit; pgm: grey; "
-        "ppm: RGB; original: the scene's own files, for pairs that are matched as these are",
+        "ppm: RGB; original: the files of the scene, if the pair is neither rectified nor changed",
     )
     halo: int | None = Field(
         None, ge=0, le=4096, description="pixels around a tile that its map depends on; null: pairs are never tiled"

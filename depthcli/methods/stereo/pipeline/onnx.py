@@ -82,20 +82,19 @@ class NetworkPipeline(Network, StereoPipeline):
 
     profile: ProfileName | None = Field(None, description="conventions of a published network; null: fields below")
     normalization: Normalization | None = Field(
-        None, description="range of the values that the network takes; null: as in the profile, without one 0-255"
+        None, description="range of the values that the network takes; null: as in the profile, or 0-255"
     )
-    color_order: ColorOrder | None = Field(
-        None, description="order of channels; null: as in the profile, without one rgb"
-    )
+    color_order: ColorOrder | None = Field(None, description="order of channels; null: as in the profile, or rgb")
     multiple: int | None = Field(
-        None, ge=1, le=1024, description="divisor of the images' sides, pixels; null: as in the profile, without one 32"
+        None, ge=1, le=1024, description="divisor of the images' sides, pixels; null: as in the profile, or 32"
     )
     size: tuple[_Side, _Side] | None = Field(
-        None, description="width and height of the images that it gets, pixels; null: its own, or as the pair"
+        None,
+        description="width and height of its images, pixels; null: its fixed size, or the size of the pair",
     )
-    sign: Sign | None = Field(None, description="sign of its output; null: as in the profile, without one positive")
+    sign: Sign | None = Field(None, description="sign of its output; null: as in the profile, or positive")
     iterations: int | None = Field(
-        None, ge=1, le=1000, description="for networks with an input for their number; null: it has none"
+        None, ge=1, le=1000, description="number of iterations, if the network has an input for it; null: it has none"
     )
     left_right_check: bool = Field(True, description="compare with the right view's map, which takes twice the time")
     tolerance: float = Field(1.0, ge=0, le=16384, description="largest left-right difference, pixels")

@@ -15,15 +15,15 @@ from depthcli.methods.stereo.volume import StereoResult
 
 
 class Segments(SegmentSteps, AdjustingMatcher, StereoPipeline):
-    """Every segment of the left image is a plane; which plane is decided for all segments at once.
+    """Every segment of the left image gets a plane; the planes of all segments are chosen together.
 
     Additions to the method (thesis, chapter 2), all off by default; each preset names those that it uses:
 
     - ``optimization`` between window and selection, so that more disparities are trusted;
-    - ``split``: segments that are not planar (curved things) are cut along a grid;
+    - ``split``: segments that are not planar are cut along a grid;
     - ``rounds``: planes are fitted again to groups of segments that share one;
-    - ``visibility``: a plane that puts occluded pixels in front of the right view's surface costs;
-    - ``restoration``: surfaces that no plane fits get their first disparities back.
+    - ``visibility``: a plane costs more if it puts occluded pixels in front of the right view's surface;
+    - ``restoration``: first disparities replace planes on surfaces that no plane fits.
     """
 
     cost: Cost = Field(description="matching cost of two pixels")

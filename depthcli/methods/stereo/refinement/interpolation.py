@@ -18,7 +18,7 @@ _DIRECTIONS: NDArray[np.int64] = np.array(
 
 
 class Interpolation(Refinement):
-    """Fill occluded pixels with the lowest value around, mismatched ones with the value of the most similar color.
+    """Fill occluded pixels with the lowest value around, mismatched pixels with the value of the most similar color.
 
     The candidates are the nearest values in 16 directions. A pixel without any candidate stays empty.
     """

@@ -24,7 +24,9 @@ class RegionVoting(Refinement):
     inner_threshold: int = Field(
         6, ge=0, le=255, description="largest color difference beyond inner_length, grey levels"
     )
-    votes: int = Field(20, ge=1, le=10**6, description="a support votes if it has more pixels with values than this")
+    votes: int = Field(
+        20, ge=1, le=10**6, description="number of pixels with values that a support must exceed to vote"
+    )
     majority: float = Field(0.4, ge=0, le=1, description="share of votes that the chosen disparity has to exceed")
     iterations: int = Field(
         5, ge=1, le=32, description="number of rounds of voting; each uses the values filled before"

@@ -37,7 +37,7 @@ class SlantedMedian(Refinement):
     A plain median flattens slopes if colors restrict it to one side of its window. Here q votes for the value
     ``d_q + g_q . (p - q)`` at p, with the slope g_q of a plane fitted around q. The weight of the vote is
     ``exp(-color / color_scale - distance / distance_scale)``. The result is a multiple of 1/8 pixel. Pixels without a
-    value stay empty. Windows of more than 7 x 7 pixels are sampled like the squares of one color on a checkerboard.
+    value stay empty. In windows of more than 7 x 7 pixels, every other pixel is used, in a checkerboard pattern.
     """
 
     needs_costs = False

@@ -24,7 +24,7 @@ class SurfaceFill(Refinement):
     """Continue the surfaces at both ends of a gap along its row and take the one that is farther back.
 
     A gap is an occlusion or the strip on the left that the right camera does not see. Repeating the last value
-    (``background_fill``) is wrong by more than a pixel a few dozen pixels into a slanted surface. So a plane is
+    (``background_fill``) is off by more than a pixel a few dozen pixels into a slanted surface. So a plane is
     fitted to the surface at each end, and the gap's pixels take the plane's values. The fit is by least squares with
     Huber weights, over pixels connected to the end by disparity steps of at most one pixel.
     """
@@ -37,7 +37,10 @@ class SurfaceFill(Refinement):
     )
     reach: int = Field(20, ge=1, le=255, description="pixels per row that the surface's plane is fitted to")
     support: int = Field(
-        30, ge=3, le=32768, description="fewest pixels for a plane; with fewer the gap's end value is held"
+        30,
+        ge=3,
+        le=32768,
+        description="smallest number of pixels for a plane; with fewer, the gap takes the value at its end",
     )
 
     def halo(self) -> int | None:

@@ -43,7 +43,7 @@ class Selection(ConfigModel):
         1.0,
         gt=0,
         le=1,
-        description="weight in dedc of a pixel whose second disparity costs no more; 1: all alike",
+        description="weight in dedc of a pixel whose second disparity has the same cost; 1: all pixels count alike",
     )
 
     def __call__(self, volume: CostVolume) -> FirstEstimate:
@@ -166,10 +166,10 @@ def grid_parts(labels, cell, cut):
 
 
 class Split(ConfigModel):
-    """Cut segments that are not planar along a grid: a curved page has one color, but needs several planes.
+    """Cut segments that are not planar along a grid, because a curved surface of one color needs several planes.
 
     The cuts do not follow disparities: the rim of a foreground object, which windows widen, would become a segment of
-    its own and keep its wrong disparity.
+    its own and keep its incorrect disparity.
     """
 
     cells: tuple[Annotated[int, Field(ge=4, le=512)], ...] = Field(

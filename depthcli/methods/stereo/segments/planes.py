@@ -25,7 +25,7 @@ _MIN_GROUP_SIZE = 30  # trusted pixels of connected segments that a plane is fit
 
 
 class PlaneCandidates(SegmentPlaneFit):
-    """Fit the planes that segments may lie on, and drop near-duplicates."""
+    """Fit candidate planes to segments, and drop near-duplicates."""
 
     renamed: ClassVar[dict[str, str]] = {"most": "max_planes"}
 

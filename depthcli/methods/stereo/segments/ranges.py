@@ -41,9 +41,14 @@ class Ranges(ConfigModel):
     margin: float = Field(
         0.25, ge=0, le=1, description="growth of ranges on each side, share of the whole range (thesis, eq. 2.5: alpha)"
     )
-    neighbors: int = Field(0, ge=0, le=1000, description="number of nearest key points that count as a segment's own")
+    neighbors: int = Field(
+        0, ge=0, le=1000, description="number of nearest key points that define the range of a segment"
+    )
     reach: float = Field(
-        40.0, gt=0, le=16384, description="distance within which all nearest key points must lie to count, pixels"
+        40.0,
+        gt=0,
+        le=16384,
+        description="largest distance of the nearest key points; if one is farther, there is no range, pixels",
     )
     cell: int = Field(0, ge=0, le=4096, description="width of a segment's parts with own ranges, pixels; 0: one range")
     penalty: float = Field(

@@ -16,17 +16,19 @@ _STEP = 1.0  # pixels: an estimate further from the median of its 3 x 3 neighbor
 
 
 class Restoration(ConfigModel):
-    """Give areas their first disparities back that are dense, smooth, and off their plane.
+    """Restore first disparities in areas where they are dense, smooth, and off the plane.
 
-    A fold of cloth has one color and needs more planes than there are. Its first disparities are trusted and smooth,
-    those of a bare wall are not. Narrow areas keep their plane: windows and scanlines widen objects, and the rims
-    would come back.
+    A fold of cloth has one color, but needs more planes than its segments have. Its first disparities are trusted and
+    smooth; on a bare wall they are neither. Narrow areas keep their plane: windows and scanlines widen objects, and
+    the rims would come back.
     """
 
     radius: int = Field(
-        0, ge=0, le=64, description="radius of the smallest disc that is restored, pixels; 0: nothing is"
+        0, ge=0, le=64, description="radius of the smallest disc that is restored, pixels; 0: nothing is restored"
     )
-    difference: float = Field(1.0, gt=0, le=16384, description="distance from the plane above which it counts, pixels")
+    difference: float = Field(
+        1.0, gt=0, le=16384, description="distance from the plane above which a pixel is off the plane, pixels"
+    )
     density: float = Field(0.9, ge=0, le=1, description="least share of trusted, smooth pixels in the window")
     window: int = Field(9, ge=1, le=129, description="side of the window, pixels")
 

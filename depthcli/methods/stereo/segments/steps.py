@@ -56,9 +56,11 @@ class SegmentSteps(ConfigModel):
     optimization: Optimization = Field(
         default_factory=WinnerTakesAll, description="smoothness in the costs of the first disparities"
     )
-    selection: Selection = Field(default_factory=Selection, description="how first disparities are taken and trusted")
+    selection: Selection = Field(
+        default_factory=Selection, description="selection of first disparities, and of trusted pixels"
+    )
     split: Split = Field(default_factory=Split, description="cuts of segments that are not planar")
-    planes: PlaneCandidates = Field(default_factory=PlaneCandidates, description="the planes that segments may lie on")
+    planes: PlaneCandidates = Field(default_factory=PlaneCandidates, description="candidate planes of segments")
     energy: Energy = Field(default_factory=Energy, description="energy that the assignment of planes minimizes")
     rounds: int = Field(1, ge=1, le=10, description="number of assignments; planes are fitted again in between")
     sweeps: int = Field(

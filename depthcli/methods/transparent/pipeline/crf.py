@@ -32,7 +32,7 @@ class DenseCrf(TransparentPipeline):
 
     fit: SamplePlaneFit = Field(default_factory=SamplePlaneFit, description="planes through the samples")
     unreliable: UnreliableRegions | None = Field(
-        default_factory=UnreliableRegions, description="where the sensor is; null: nowhere"
+        default_factory=UnreliableRegions, description="regions where the sensor is unreliable; null: none"
     )
     labels: int = Field(64, ge=2, le=512, description="number of labels: steps of inverse depth")
     sensor_weight: float = Field(1.0, ge=0, description="cost per label of distance from the sensor's value")
@@ -45,11 +45,17 @@ class DenseCrf(TransparentPipeline):
     smooth_truncation: int = Field(
         8, ge=1, description="difference of two pixels where their cost stops growing, labels"
     )
-    bilateral_weight: float = Field(1.0, ge=0, description="of smoothness between pixels of similar place and color")
-    bilateral_distance: float = Field(20.0, gt=0, description="where its weight falls to exp(-1/2), pixels")
-    bilateral_color: float = Field(20.0, gt=0, description="where its weight falls to exp(-1/2), grey levels")
-    near_weight: float = Field(0.3, ge=0, description="of smoothness between pixels of similar place")
-    near_distance: float = Field(3.0, gt=0, description="where its weight falls to exp(-1/2), pixels")
+    bilateral_weight: float = Field(
+        1.0, ge=0, description="weight of smoothness between pixels of similar position and color"
+    )
+    bilateral_distance: float = Field(
+        20.0, gt=0, description="distance at which bilateral_weight falls to exp(-1/2), pixels"
+    )
+    bilateral_color: float = Field(
+        20.0, gt=0, description="color difference at which bilateral_weight falls to exp(-1/2), grey levels"
+    )
+    near_weight: float = Field(0.3, ge=0, description="weight of smoothness between pixels of similar position")
+    near_distance: float = Field(3.0, gt=0, description="distance at which near_weight falls to exp(-1/2), pixels")
     separation: float = Field(4.0, ge=0, description="distance of unreliable pixels from others, standard deviations")
     band: int = Field(8, ge=0, description="width of the band around them that is labelled, too, pixels")
     iterations: int = Field(2, ge=0, le=100, description="iterations of mean field inference")

@@ -26,8 +26,10 @@ class NearestSample(TransparentPipeline):
 
     bytes_per_pixel: ClassVar[int] = 120
 
-    tolerance: float = Field(0.015, ge=0, description="largest difference of a sensor that is kept, meters")
-    relative_tolerance: float = Field(0.02, ge=0, description="as a share of the depth; the larger one counts")
+    tolerance: float = Field(0.015, ge=0, description="largest difference at which the sensor's value is kept, meters")
+    relative_tolerance: float = Field(
+        0.02, ge=0, description="the same as a share of the depth; the larger limit counts"
+    )
     reach: float = Field(40.0, ge=0, description="distance of a sample that the sensor is compared with, pixels")
 
     def __call__(self, frame: SparseFrame) -> DepthResult:

@@ -50,9 +50,11 @@ class RobustPlanes(TransparentPipeline):
 
     fit: SamplePlaneFit = Field(default_factory=SamplePlaneFit, description="planes through the samples")
     unreliable: UnreliableRegions = Field(
-        default_factory=UnreliableRegions, description="where the sensor is unreliable"
+        default_factory=UnreliableRegions, description="regions where the sensor is unreliable"
     )
-    smoothing: Smoothing = Field(default_factory=Smoothing, description="of the planes where they replace the sensor")
+    smoothing: Smoothing = Field(
+        default_factory=Smoothing, description="smoothing of the planes that replace the sensor"
+    )
 
     def __call__(self, frame: SparseFrame) -> DepthResult:
         clock = Clock()
