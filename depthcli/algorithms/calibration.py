@@ -138,7 +138,7 @@ class Chessboard(Board):
         return Corners(ids, grid.reshape(-1, 2))
 
     def alike(self, left: Corners, right: Corners) -> Corners:
-        """Return the right view's corners in the order with the smallest rotation against the left view."""
+        """Return the right view's corners in the order with the smallest rotation from the left view."""
         if (self.columns + self.rows) % 2:
             return right
         wanted, grid = (each.pixels.reshape(self.rows, self.columns, 2) for each in (left, right))

@@ -187,7 +187,7 @@ class RegionGraph:
 
 
 def region_sums(labels: Ints, image: NDArray[Any], count: int) -> tuple[NDArray[np.int64], Doubles]:
-    """Return the pixels of each region 0 .. count - 1, (count,), and the sums of (H, W[, C]) ``image``, (count, C)."""
+    """Return the number of pixels, (count,), and the sums of ``image`` (H, W[, C]), (count, C), of each region."""
     sizes, sums = _sums(labels.ravel(), image.reshape(labels.size, -1), count)
     return sizes, sums
 

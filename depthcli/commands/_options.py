@@ -420,8 +420,8 @@ class CloudOptions:
     mask: str | None = option(
         None,
         metavar="WHICH",
-        help="Pixels that get a depth: all, measured, or confident:0.8, the 80 % of the measured ones with the "
-        "highest confidence (confident:0.8:NAME of several). Default: all, in clouds measured.",
+        help="Pixels that get a depth: all, measured, or confident:0.8, the 80 % of the measured pixels with the "
+        "highest confidence (confident:0.8:NAME if there are several). Default: all; in clouds: measured.",
     )
     ply: bool = option(False, "--ply", help="Also write a colored point cloud of every scene.")
     near: float = option(0.0, metavar="METERS", min=0, help="Nearest depth of point clouds.")

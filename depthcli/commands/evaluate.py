@@ -5,7 +5,7 @@ is its map, how it is read, and how it is scored.
 
 Examples:
   depthcli evaluate runs/accurate runs/fast --truth scenes -o results --html
-  depthcli evaluate a=maps/a b=maps/b --maps b='{scene}/d.tiff' --truth in
+  depthcli evaluate a=maps/a b=maps/b --pattern b='{scene}/d.tiff' --truth in
   depthcli evaluate runs/fast --truth scenes --format latex --tables metrics
 """
 
@@ -52,7 +52,7 @@ def evaluate(
     coding: CodingOptions,
     maps: Annotated[list[str] | None, Option(hidden=True)] = None,  # old name of --pattern
     resolution: Annotated[
-        str | None, Option(metavar="F|H|Q", help="Size of Middlebury v3's truth. Default: by the width.")
+        str | None, Option(metavar="F|H|Q", help="Size of Middlebury v3's ground truth. Default: by the width.")
     ] = None,
     resize: Annotated[
         str | None, Option(metavar="WxH", help="Resize depth maps and ground truth to this size.")

@@ -21,7 +21,7 @@ class Latest:
     _results: dict[str, tuple[Hashable, Any]] = field(default_factory=dict)
 
     def get(self, what: str, key: Hashable, compute: Callable[[], _T]) -> _T:
-        """Return the result of ``compute()``, or the latest one of ``what`` if it was computed for an equal key."""
+        """Return the latest result for ``what`` if it has an equal key; otherwise the result of ``compute()``."""
         latest = self._results.get(what)
         if latest is None or latest[0] != key:
             self._results.pop(what, None)  # before the next one takes memory
@@ -31,7 +31,7 @@ class Latest:
 
 @dataclass
 class Clock:
-    """Adds up seconds by stage, without those of compiling kernels, which happens once per machine."""
+    """Adds up seconds by stage, without the time for compiling kernels, which happens once per machine."""
 
     _seconds: dict[str, float] = field(default_factory=dict)
     _stage: str | None = None

@@ -60,7 +60,7 @@ class StereoPair:
 
     @cached_property
     def color8(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        """Both images as (H, W, 3) uint8 RGB; 16-bit images are scaled, grey ones repeated."""
+        """Both images as (H, W, 3) uint8 RGB; 16-bit images are scaled, grey images repeated."""
         left, right = self.full_range
         return color8(left), color8(right)
 
@@ -105,7 +105,7 @@ def _eight_bit(image: Image) -> NDArray[np.uint8]:
 
 
 def color8(image: Image, bits: int | None = None) -> NDArray[np.uint8]:
-    """Return any image as (H, W, 3) uint8 RGB; 16-bit images are scaled by their ``bits``, grey ones repeated."""
+    """Return any image as (H, W, 3) uint8 RGB; 16-bit images are scaled by their ``bits``, grey images repeated."""
     image = _eight_bit(StereoPair(image, image, bits).full_range[0])
     return np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image
 

@@ -168,7 +168,7 @@ class DepthMap(_Map):
 
     @property
     def filled(self) -> NDArray[np.bool_]:
-        """(H, W) bool: the sensor has no value, which was filled in."""
+        """(H, W) bool: the sensor has no value, and the pixel was filled."""
         return self._has(_ADDED)
 
     @property

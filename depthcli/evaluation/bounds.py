@@ -93,7 +93,7 @@ def bound_scores(
     Parameters
     ----------
     bound : (N,) in the unit of the errors; NaN: there is none, so that nothing is covered; +inf: it is open
-    wrong : (N,) by the headline's rule
+    wrong : (N,) bool, incorrect pixels by the headline's rule
     """
     valued = ~np.isnan(tally.error)
     error, bound, wrong = tally.valid, bound[valued], wrong[valued]

@@ -67,11 +67,11 @@ class Section:
         self.figure_keys: list[Key] = [(protocol.headline, region) for region in self.figure_regions]
 
     def results_of(self, run: str, place: str = MEAN) -> list[MapResult]:
-        """Return one run's results of all scenes, or of the common ones."""
+        """Return one run's results of all scenes, or of the common scenes."""
         return [r for r in self.results if r.run == run and (place == MEAN or r.scene in self.common)]
 
     def counts(self, run: str, region: str | None = None) -> dict[str, int]:
-        """Count the scenes with truth in a region: all, those without a map of the run, those with maps of all runs."""
+        """Count the scenes with ground truth in a region: all, without a map of the run, and with maps of all runs."""
         scenes = set(self.scenes) if region is None else self.known[region]
         return {
             "scenes": len(scenes),
@@ -138,7 +138,7 @@ class Section:
         return dict(zip(self.runs, ranks.tolist(), strict=True))
 
     def records(self) -> list[dict[str, Any]]:
-        """Return the means of every run, metric and region, over all scenes and common ones, for ``scores.csv``."""
+        """Return the means of every run, metric and region, over all scenes and common scenes, for ``scores.csv``."""
         rows = []
         for run in self.runs:
             where = {"run": run, "data_set": self.data_set, "protocol": self.protocol.name}

@@ -66,7 +66,7 @@ def scenes_with_truth(
     patterns : shell patterns of scene names
     layout : layout of the folder; None recognizes it
     protocol : protocol that scores all scenes and decides on their kind; None: the protocol of each scene
-    maps : files compared with the truth; a name can show that both are depth
+    maps : files compared with the ground truth; a name can show that both are depth
     """
     settings, reporter = settings or Settings(), reporter or Reporter(-1)
     if os.path.isfile(truth):
@@ -241,7 +241,7 @@ class _Scoring:
             self.promises[run] = promised(saved_config(place if place.is_dir() else place.parent.parent))
 
     def show(self, step: Callable[[Viewer], None]) -> None:
-        """Let every viewer take a step, but for those that could not be written before."""
+        """Let every viewer take a step, except viewers that could not be written before."""
         for viewer in self.choices.viewers:
             missed = can_be_missed(viewer.file, self.unwritten, self.choices.reporter)
             if viewer.file not in self.unwritten:
@@ -266,7 +266,7 @@ class _Scoring:
         return results
 
     def report(self, scenes: Sequence[Scene], results: Sequence[MapResult]) -> EvaluationReport:
-        """Return the results as a report, with the plug-ins that took part, what looks wrong, and the flags."""
+        """Return the results as a report, with the plug-ins in use, warnings, and flags."""
         reporter, protocols = self.choices.reporter, self.protocols
         for name, value in vars(self.choices.settings).items():
             taken = any(name in protocol.takes for protocol in protocols.values())

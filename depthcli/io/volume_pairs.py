@@ -245,8 +245,8 @@ def label_masks(
     """Yield name and mask, bool, of each region in a mask or label map.
 
     0 is outside. A map with one value, 1 or 255, is a mask, unless ``regions``, (name, label), is given. Other whole
-    numbers are labels; labels without a name are called ``NAME_LABEL``. Fractions up to 1 are probabilities; the
-    region is where they are at least 0.5.
+    numbers are labels; labels without a name are called ``NAME_LABEL``. Fractions up to 1 are probabilities, and the
+    region has the voxels with at least 0.5.
 
     Raise InputError for fractions above 1 or with named labels, as linear interpolation of labels makes them, and for
     more labels than label maps have.

@@ -89,7 +89,8 @@ def fuse(
 ) -> Disparity:
     """Return the disparity map of a rectified pair from several measures.
 
-    A measure is trusted where neighboring pixels agree with it. Raise ConfigError and InputError as :func:`stereo`.
+    A measure is trusted at a pixel if neighboring pixels agree with it. Raise ConfigError and InputError as
+    :func:`stereo`.
 
     Parameters
     ----------

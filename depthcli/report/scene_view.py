@@ -99,7 +99,7 @@ class SceneView:
         (it is thinned by), ``image`` (data URI), packed ``sensor``, ``truth`` and ``region`` (1: known, 2: occluded),
         and ``runs``: name -> packed ``values``, ``error``, ``wrong``, ``bound``, ``status``, ``confidence`` by measure
     thumbs : run (empty: the scene itself) -> title of a small picture -> data URI
-    above : prefix of the figures: empty, or "> " where they are lower bounds
+    above : prefix of the figures: empty, or "> " if they are lower bounds
     figures, note : without ground truth: heading with unit -> number, which orders the scenes; and an explanation
     mean_confidence : without truth: heading -> mean of a confidence map
     legend : without truth: words -> CSS color of the statuses in the small picture

@@ -148,7 +148,7 @@ class FolderLock:
         self.alone = False
 
     def claim(self, name: str, wait: bool = False) -> bool:
-        """Claim a scene, or the report, which has no name; return False where another process has it."""
+        """Claim a scene, or the report, which has no name; return False if another process has it."""
         if self._scenes < 0:
             return True
         try:

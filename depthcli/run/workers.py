@@ -69,7 +69,7 @@ def use_threads(count: int) -> None:
 
 
 def counted(compute: Callable[[], _T], watch: CompileWatch) -> tuple[_T, int, float]:
-    """Compute a scene; return its result, the number of kernels compiled for it, and their seconds."""
+    """Compute a scene; return its result, and number and seconds of the kernels compiled for it."""
     kernels, seconds = watch.calls, watch.seconds
     row = compute()
     return row, watch.calls - kernels, watch.seconds - seconds

@@ -225,7 +225,7 @@ def _make_kinect(values: Values, scene: SampleScene, folder: Path) -> dict[str, 
 def _make_transparent(values: Values, scene: SampleScene, folder: Path) -> dict[str, Any]:
     """Write color, depth of the sensor, sparse and true depth, mask and meta.json; of a pair also its infrared.
 
-    Sparse depth is emulated from the truth. The right view of a pair becomes infrared, a surface of it glass.
+    Sparse depth is simulated from the ground truth. The right view of a pair becomes infrared, and one surface glass.
     """
     seed, origin = scene.settings["seed"], scene.origin
     meta: dict[str, Any] = {"notes": "sparse: emulated from depth_true; the rest is the source's"}

@@ -75,7 +75,7 @@ def make_transparent_scene(
 
 
 def sensor_through(truth: Floats, behind: Floats, mask: Mask, seed: int) -> Floats:
-    """Return the disparity that a sensor measures: in spots of the mask the background or nothing, elsewhere the truth.
+    """Return the disparity that a sensor measures: the background or nothing in spots of the mask, otherwise the truth.
 
     ``truth`` is the disparity with the object ``mask``, ``behind`` the disparity without the object.
     """

@@ -12,7 +12,7 @@ _HEIGHT, _WIDTH, _DISPARITIES, _TRUE = 30, 60, 16, 5
 
 
 def check_confidence_measure(measure: ConfidenceMeasure) -> None:
-    """Raise AssertionError unless a confidence measure of stereo costs keeps what pipelines rely on."""
+    """Raise AssertionError unless a confidence measure of stereo costs keeps all promises to pipelines."""
     run_checks(measure, CHECKS)
 
 

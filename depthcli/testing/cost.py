@@ -13,7 +13,7 @@ _MARGIN = 8  # no window reaches beyond the plane's common part from here on
 
 
 def check_cost_measure(cost: CostMeasure) -> None:
-    """Raise AssertionError unless a cost measure keeps what pipelines rely on; takes some seconds."""
+    """Raise AssertionError unless a cost measure keeps all promises to pipelines; takes some seconds."""
     run_checks(cost, CHECKS)
 
 
@@ -69,7 +69,7 @@ def tiny_images_and_wide_ranges(cost: CostMeasure) -> None:
 
 
 def compares_levels_is_true(cost: CostMeasure) -> None:
-    """``compares_levels`` says whether half the light in the right image raises the costs of true matches."""
+    """``compares_levels`` is true if half the light in the right image raises the costs of true matches."""
     pair = shifted_pair(30, 60, 5)
     pair = StereoPair(pair.left // 2 * 2, pair.right // 2 * 2)
     changed_light = StereoPair(pair.left, pair.right // 2)

@@ -1,4 +1,4 @@
-"""Images, cost volumes and maps that methods are tested on, and a test of what all of them promise."""
+"""Images, cost volumes and maps for the tests of methods, and a test of a common promise."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from depthcli.testing.inputs import TINY, assert_pure, blocky_pair, random_volum
 
 
 def check_optimizer(optimizer: Optimizer) -> None:
-    """Raise AssertionError unless an optimizer keeps what pipelines rely on; takes some seconds."""
+    """Raise AssertionError unless an optimizer keeps all promises to pipelines; takes some seconds."""
     run_checks(optimizer, OPTIMIZER_CHECKS)
 
 
@@ -79,7 +79,7 @@ Smoothness: TypeAlias = Callable[[NDArray[np.uint8]], tuple[NDArray[Any], NDArra
 
 
 def check_smoothness(term: Smoothness | BoundaryCost) -> None:
-    """Raise AssertionError unless a smoothness term keeps what energies rely on.
+    """Raise AssertionError unless a smoothness term keeps all promises to energies.
 
     ``term`` takes an (H, W, 3) uint8 image and returns the costs of a difference, such as in disparity, between
     neighbors along the rows, (H, W - 1), and along the columns, (H - 1, W). It can also be a boundary cost between

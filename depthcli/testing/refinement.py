@@ -14,7 +14,7 @@ from depthcli.testing.inputs import TINY, assert_pure, blocky_pair, changed, ran
 
 
 def check_refinement(step: Refinement) -> None:
-    """Raise AssertionError unless a refinement step keeps what pipelines rely on; takes some seconds."""
+    """Raise AssertionError unless a refinement step keeps all promises to pipelines; takes some seconds."""
     run_checks(step, CHECKS)
 
 

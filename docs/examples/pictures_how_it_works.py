@@ -1,6 +1,6 @@
 """Pictures of how the methods work."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,14 +87,14 @@ def kinect(kind: str) -> tuple[Any, Any, Any, list[Any]]:
 
 
 def comparison(
-    values: Sequence[Any], compute: Callable[[Any], Any], key: str, unit: str, masks: Sequence[Any]
+    values: Sequence[Any], compute: Callable[[Any], Any], key: str, form: str, masks: Mapping[str, Any]
 ) -> list[Any]:
     """Columns of (title, map, error) for the values of a parameter; ``compute`` returns map and error."""
     columns = []
     for value in values:
         found, error = compute(value)
-        means = ", ".join(f"{np.nanmean(error[mask]):.3g}" for mask in masks)
-        columns.append((f"{key} = {value}\n{means} {unit}", found, error))
+        means = ", ".join(f"{name} {format(np.nanmean(error[mask]), form)}" for name, mask in masks.items())
+        columns.append((f"{key} = {value}\nerror: {means}", found, error))
     return columns
 
 
@@ -118,7 +118,13 @@ def kinect_probability() -> Any:
         refined = depthcli.refine_depth(color, depth, "accurate", {"min_probability": value}, fb=FB).values
         return FB / refined, np.abs(FB / refined - FB / truth)
 
-    columns = comparison((0.1, 0.5, 0.8), compute, "min_probability", "px", masks)
+    columns = comparison(
+        (0.1, 0.5, 0.8),
+        compute,
+        "min_probability",
+        ".2f",
+        dict(zip(("gaps", "edges", "elsewhere"), masks, strict=True)),
+    )
     spans = [(*np.nanpercentile(FB / truth, (1, 99)), "turbo"), (0, 5, "magma")]
     return panels(columns, spans, 9.0, ["disparity, px", "error, px"])
 
@@ -135,7 +141,7 @@ def glass_input() -> Any:
     color, sensor, sparse, truth, _ = glass()
     dots = cv2.dilate(np.nan_to_num(sparse), np.ones((2, 2)))
     dots[dots == 0] = np.nan
-    columns = [("color", color), ("sensor", sensor), ("sparse samples (enlarged)", dots), ("truth", truth)]
+    columns = [("color", color), ("sensor", sensor), ("sparse samples (enlarged)", dots), ("ground truth", truth)]
     return panels(columns, [(*np.nanpercentile(truth, (1, 99)), "turbo_r")], 10.0, ["depth, m"])
 
 
@@ -149,8 +155,8 @@ def glass_outline() -> Any:
         depth = depthcli.complete_transparent(color, sensor, sparse, "sparse", settings, fb=24.0).values
         return depth, 1000 * np.abs(depth - truth)
 
-    masks = inside, ~inside & np.isfinite(sensor)
-    columns = comparison((5, 50), compute, "outline", "mm in the glass, elsewhere", masks)
+    masks = {"glass": inside, "elsewhere": ~inside & np.isfinite(sensor)}
+    columns = comparison((5, 50), compute, "outline", ".0f", masks)
     spans = [(*np.nanpercentile(truth, (1, 99)), "turbo_r"), (0, 200, "magma")]
     return panels(columns, spans, 6.4, ["depth, m", "error, mm"])
 

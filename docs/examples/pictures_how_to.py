@@ -126,7 +126,7 @@ def wrong_flipped() -> Any:
     """Swapped views, searched from -32 to 0."""
     left, right, _ = planes()
     flipped = depthcli.stereo(right, left, 0, "fast", min_disparity=-32).values
-    return fault(flipped + 32, good(), ("views swapped", "right order"), None)
+    return fault(flipped + 32, good(), ("views swapped", "views in order"), None)
 
 
 @picture
@@ -161,7 +161,7 @@ def wrong_infinity() -> Any:
     """Saturated images."""
     left, right, truth = planes()
     bright = [np.clip(image * 2.5, 0, 255).astype(np.uint8) for image in (left, right)]
-    return fault(match(*bright), good(), ("saturated", "exposed well"), truth, ("left image, saturated", bright[0]))
+    return fault(match(*bright), good(), ("saturated", "well exposed"), truth, ("left image, saturated", bright[0]))
 
 
 @picture

@@ -29,7 +29,7 @@ for axis, values in zip((axes[0, 1], axes[0, 2], axes[1, 0]), (depth, refined.va
 axes[1, 1].imshow(status, cmap=plt.matplotlib.colors.ListedColormap(["k", "lightgray", "C0", "C3"]), vmin=0, vmax=3)
 axes[1, 2].imshow(100 * np.abs(refined.values - truth), cmap="magma", vmin=0, vmax=10)
 titles = (
-    "color", "depth as measured", "refined", "ground truth", "gray: kept, blue: filled, red: corrected", "error",
+    "color", "measured depth", "refined", "ground truth", "grey: kept, blue: filled, red: corrected", "error",
 )  # fmt: skip
 for axis, title in zip(axes.flat, titles, strict=True):
     axis.set(title=title, xticks=[], yticks=[])

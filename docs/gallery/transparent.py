@@ -30,7 +30,7 @@ for axis, name in ((axes[0, 1], "scenes/glass_0/depth.pfm"), (axes[0, 2], "run/g
 axes[1, 0].imshow(truth, cmap=depth_colors, vmin=near, vmax=far)
 axes[1, 1].imshow(read("scenes/glass_0/mask_transparent.png"), cmap="gray")
 axes[1, 2].imshow(read("run/glass_0/unreliable.png"), cmap="gray")
-titles = ("color, sparse depth as dots", "sensor", "completed", "truth", "transparent", "found to be unreliable")
+titles = ("color, sparse depth as dots", "sensor", "completed", "ground truth", "transparent", "unreliable.png")
 for axis, title in zip(axes.flat, titles, strict=True):
     axis.set(title=title, xticks=[], yticks=[])
 plt.show()

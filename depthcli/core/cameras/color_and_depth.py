@@ -204,11 +204,11 @@ def _slopes(inverse: NDArray[np.float64], right: NDArray[np.bool_], sign: int) -
 def draw_quads(
     x: NDArray[np.float64], y: NDArray[np.float64], inverse: NDArray[np.float64], image: NDArray[np.float64]
 ) -> None:
-    """Draw quadrilaterals as two triangles each; where several cover the center of a pixel, the nearest stays.
+    """Draw quadrilaterals as two triangles each; if several cover the center of a pixel, the nearest is kept.
 
-    Inside of a triangle, inverse depth is interpolated linearly, which is exact on planes. Of both diagonals, that with
-    the more similar ends divides a quadrilateral. Triangles that are seen from behind are left out. The corners, (N, 4)
-    ``x``, ``y`` and inverse depth, are clockwise as the image is seen; ``image``, 0 = nothing, is changed in place.
+    Inside of a triangle, inverse depth is interpolated linearly, which is exact on planes. A quadrilateral is divided
+    along the diagonal with the more similar ends. Triangles that are seen from behind are left out. The corners, (N,
+    4) ``x``, ``y`` and inverse depth, are clockwise as the image is seen; ``image``, 0 = nothing, is changed in place.
     """
     for n in range(len(x)):
         other = int(abs(inverse[n, 0] - inverse[n, 2]) > abs(inverse[n, 1] - inverse[n, 3]))

@@ -67,7 +67,7 @@ class PairGeometry:
     def depth_bound(
         self, disparity: NDArray[np.floating[Any]], bound: NDArray[np.floating[Any]]
     ) -> NDArray[np.float32]:
-        """Return how far the depth may be off if the disparity is off by ``bound`` pixels, float32, meters.
+        """Return the error of the depth if the disparity is off by ``bound`` pixels, float32, meters.
 
         It is the larger distance, behind the surface. It is infinite if the disparity may be 0, and NaN if depth or
         bound is unknown.

@@ -212,7 +212,7 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
         return self.error(estimate, truth)
 
     def wrong(self, estimate: Estimate, truth: TruthT) -> NDArray[np.bool_]:
-        """Return True where the error is above the headline's threshold; False if there is no estimate."""
+        """Return True for pixels whose error exceeds the headline's threshold; False if there is no estimate."""
         if self.headline.threshold is None:
             raise NotImplementedError(f"{self.name} has no headline threshold: override wrong")
         return self.error(estimate, truth) > self.headline.threshold
@@ -253,7 +253,7 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
         return self.pooled((result.scores, result.scene) for result in results)
 
     def pooled(self, scored: Iterable[tuple[Sequence[Score], str]]) -> list[Score]:
-        """Return one score for every metric and region out of (scores, scene) of several scenes."""
+        """Return one score for every metric and region, pooled from the scores of several scenes."""
         groups: dict[Key, list[tuple[Score, float]]] = {}
         for scores, scene in scored:
             weight = self.weights.get(scene.rpartition("/")[2], 1.0)

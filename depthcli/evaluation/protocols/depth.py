@@ -154,7 +154,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         return 1000.0 * estimate.astype(np.float64)
 
     def wrong(self, estimate: Depth, truth: DepthTruth) -> NDArray[np.bool_]:
-        """Return True for pixels off by 5 % and more, or by more than the settings' threshold in mm."""
+        """Return True for pixels off by 5 % or more, or by more than the settings' threshold in mm."""
         if self.settings.threshold is not None:
             return self.error(estimate, truth) > self.settings.threshold
         return _ratio(estimate, truth.depth) >= _WRONG_RATIO

@@ -54,7 +54,7 @@ class PreparedTruth:
 
     @property
     def region(self) -> str:
-        """Name of the one region."""
+        """Name of the only region."""
         return "landmarks" if self.inside is None else "voxels"
 
     @property

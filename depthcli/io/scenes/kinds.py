@@ -283,7 +283,7 @@ class VolumePairScene(Scene):
 
 
 def distortion_map(calibration: Path) -> Path | None:
-    """Return the file ``dc_beta.npy`` beside a Kinect calibration, or None."""
+    """Return the file ``dc_beta.npy`` next to a Kinect calibration, or None."""
     beta = calibration.with_name("dc_beta.npy")
     return beta if beta.is_file() else None
 

@@ -99,7 +99,7 @@ class FusedMeasure(ConfigModel):
 
 
 class Fusion(AdjustingMatcher):
-    """Stereo by several cost measures, each weighted at every pixel by how many pixels around agree with it."""
+    """Stereo by several cost measures. At each pixel, a measure has more weight if more pixels around agree with it."""
 
     measures: tuple[FusedMeasure, ...] = Field(min_length=1, max_length=16, description="measures to fuse")
     weights: Literal["consensus", "confidence", "equal", "select", "vote"] = Field(
@@ -108,7 +108,10 @@ class Fusion(AdjustingMatcher):
         "select: only the most confident measure; vote: no costs, only votes",
     )
     exponent: float = Field(
-        2.0, gt=0, le=8, description="consensus, confidence: weights are votes or confidence to this power"
+        2.0,
+        gt=0,
+        le=8,
+        description="power of the votes or the confidence that gives the weights (consensus, confidence)",
     )
     vote_confidence: MeasureName | None = Field(
         "lrc", description="confidence measure that weights votes; null: all count alike"

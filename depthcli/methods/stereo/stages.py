@@ -43,7 +43,7 @@ class PairMatcher(ABC):
         """Estimate the peak working memory of matching a whole pair of (H, W) ``shape``, bytes."""
 
     def tile_halo(self) -> int | None:
-        """Return how many pixels a part of a pair needs around it; None: only the whole pair can be matched."""
+        """Return the margin, in pixels, that a part of a pair needs; None: only the whole pair can be matched."""
         return _TILE_HALO
 
     def tile_stages(self) -> CostStages | None:
@@ -98,7 +98,7 @@ class CostStages(ConfigModel):
         return shape[0] * shape[1] * ((max_disparity + 1) * bytes_per_cell + self.cost.pixel_bytes())
 
     def halo(self) -> int | None:
-        """Return how many pixels around a pixel its optimized costs depend on; None: on the whole image."""
+        """Return the radius, in pixels, on which optimized costs depend; None: the whole image."""
         if not isinstance(self.optimization, WinnerTakesAll):
             return None
         halos = (self.cost.halo(), 0 if self.aggregation is None else self.aggregation.halo())

@@ -78,9 +78,9 @@ class UnreliableRegions(ConfigModel):
         0.2, gt=0, le=0.5, description="mean contradiction of a plane's samples from which the gain of scores rises"
     )
     reach: float = Field(
-        0.011, gt=0, description="distance to samples where scores have fallen to exp(-1/2), share of the image width"
+        0.011, gt=0, description="distance to samples at which scores fall to exp(-1/2), share of the image width"
     )
-    outline: float = Field(5.0, ge=0, description="cost per pixel of outlines where the color stays the same")
+    outline: float = Field(5.0, ge=0, description="cost per pixel of outlines without a color edge")
     min_outline_share: float = Field(0.1, ge=0, le=1, description="share of outline along a strong color edge")
     color_scale: float = Field(
         12.0, gt=0, description="color difference at which outline falls to exp(-1/2), grey levels"
@@ -89,7 +89,9 @@ class UnreliableRegions(ConfigModel):
         2.0, ge=0, description="smallest evidence of a region's samples, standard deviations of their sum"
     )
     min_area: float = Field(0.0, ge=0, le=1, description="smallest area of a region, share of the image")
-    min_sample_evidence: float = Field(0.5, ge=0, description="mean evidence of its samples, standard deviations")
+    min_sample_evidence: float = Field(
+        0.5, ge=0, description="smallest mean evidence of a region's samples, standard deviations"
+    )
 
     def __call__(self, sensor: Floats, planes: SamplePlanes, samples: Samples, noise: float, image: Image8) -> Mask:
         """Select the unreliable pixels of the sensor, (H, W) bool, among the pixels with a value.

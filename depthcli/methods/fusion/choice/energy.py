@@ -20,11 +20,11 @@ Weights = tuple[Floats, Floats]
 
 
 class LeastEnergyChoice(ChoiceMethod):
-    """The smooth mix of maps that is least contradicted by costs, other maps and the right view, by graph cuts.
+    """The smooth mix of maps that agrees best with costs, other maps and the right view, by graph cuts.
 
     The energy of a map is a sum over its pixels plus a smoothness term, in which slopes cost nothing. A pixel costs
     ``cost_weight`` times the matching cost along the map, ``agreement_weight`` times the weighted share of the other
-    maps that disagree, and ``visibility_weight`` times how far the right view contradicts the map. Each is averaged
+    maps that disagree, and ``visibility_weight`` times the contradiction with the right view. Each is averaged
     over pixels of similar color. The first map is the one with the largest weight. Every other map is offered in turn,
     the median first, and its best mix with the current map is kept (fusion moves: Lempitsky, Rother, Roth and Blake,
     PAMI 2010).
@@ -32,13 +32,15 @@ class LeastEnergyChoice(ChoiceMethod):
 
     cost_weight: float = Field(2.0, ge=0, le=1e3, description="weight of the fused costs, in units of one measure")
     cost_truncation: float = Field(
-        0.7, gt=0, le=16, description="largest matching cost that counts; the views may differ where light does"
+        0.7, gt=0, le=16, description="limit of the matching cost, because the views may differ in light"
     )
     agreement_weight: float = Field(3.0, ge=0, le=1e3, description="weight of the other maps' disagreement")
     visibility_weight: float = Field(
-        2.0, ge=0, le=1e3, description="weight of how far the right view contradicts a map"
+        2.0, ge=0, le=1e3, description="weight of the contradiction between a map and the right view"
     )
-    hidden: float = Field(0.5, ge=0, le=1, description="contradiction counted where a map is hidden in the right view")
+    hidden: float = Field(
+        0.5, ge=0, le=1, description="contradiction at pixels of a map that are hidden in the right view"
+    )
     smoothness: float = Field(
         4.0, ge=0, le=1e3, description="cost of a misfit between neighbors, per pixel of disparity"
     )

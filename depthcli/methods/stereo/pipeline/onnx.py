@@ -98,7 +98,7 @@ class NetworkPipeline(Network, StereoPipeline):
     )
     left_right_check: bool = Field(True, description="compare with the right view's map, which takes twice the time")
     tolerance: float = Field(1.0, ge=0, le=16384, description="largest left-right difference, pixels")
-    fill: bool = Field(True, description="keep the network's values where the check fails")
+    fill: bool = Field(True, description="keep the network's values at pixels that fail the check")
     self_check: bool = Field(True, description="whether the network must find a known shift before a run")
 
     def check(self) -> None:

@@ -22,7 +22,7 @@ class Refinement(Method):
     """Whether it sets values of pixels without one."""
 
     def halo(self) -> int | None:
-        """Return on how many rows above and below a pixel its result depends; None: on the whole map."""
+        """Return the number of rows above and below a pixel on which its result depends; None: the whole map."""
         return None
 
     @abstractmethod

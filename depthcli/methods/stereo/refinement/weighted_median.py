@@ -28,7 +28,7 @@ _DOUBT = np.float32(1e-4)  # share of all weights: much more than the order of a
 
 
 class WeightedMedian(Refinement):
-    """Weighted median of a window; pixels of the center's color count more, and filled ones less.
+    """Weighted median of a window; pixels of the center's color count more, and filled pixels less.
 
     A neighbor's weight is ``exp(-color / color_scale - distance / distance_scale)``, times ``filled_weight``
     if its value was filled. Values are sorted into bins of 1/8 pixel. The result is the center of the median's

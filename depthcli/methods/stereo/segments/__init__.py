@@ -4,7 +4,7 @@
 |---|---|
 | ``steps`` | the data flow of all steps, where to start, and their results: map, figures, tables and pictures |
 | ``ranges`` | matched key points -> disparities that their segment may have |
-| ``first_estimate`` | costs -> first disparities, and which are trusted -> segments, those that are not planar cut |
+| ``first_estimate`` | costs -> first disparities and trusted pixels -> segments, cut if they are not planar |
 | ``planes`` | segments -> candidate planes -> energies -> one plane for every segment, by graph cuts |
-| ``restoration`` | planes -> first disparities where surfaces are not planar |
+| ``restoration`` | planes -> first disparities on surfaces that are not planar |
 """

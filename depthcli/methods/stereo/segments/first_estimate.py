@@ -31,8 +31,8 @@ class FirstEstimate:
 class Selection(ConfigModel):
     """Take the cheapest disparities of both views and check whether they agree.
 
-    A pixel is trusted where the views agree and its costs are not all the same: in a uniform image every disparity
-    would pass the check.
+    A pixel is trusted if the views agree and its costs are not all the same. In a uniform image every disparity would
+    pass the check.
     """
 
     tolerance: float = Field(

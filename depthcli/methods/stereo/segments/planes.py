@@ -43,7 +43,7 @@ class PlaneCandidates(SegmentPlaneFit):
     )
 
     def of_segments(self, segments: SegmentedImage) -> SegmentPlanes | None:
-        """Return the planes of segments that are large and trusted enough; None where no pixel is trusted."""
+        """Return the planes of segments that are large and trusted enough; None if no pixel is trusted."""
         sizes, trusted, values = segments.graph.sizes, segments.trusted.sizes, segments.first.values
         chosen = np.flatnonzero((sizes > self.min_size) & (trusted >= np.maximum(self.min_trusted * sizes, 3)))
         if len(chosen) == 0:
@@ -75,7 +75,7 @@ def assign(
     sweeps: int,
     clock: Clock,
 ) -> Assignment | None:
-    """Return the planes of all segments that minimize the energy (thesis, eq. 2.8); None where no pixel is trusted.
+    """Return the planes of all segments that minimize the energy (thesis, eq. 2.8); None if no pixel is trusted.
 
     Before each of the ``rounds`` of assignments but the first, planes are fitted again to groups that share one. The
     last makes at most ``sweeps`` passes over all planes, the others half as many, at most two.

@@ -1,4 +1,4 @@
-"""First disparities in place of planes, where surfaces are not planar."""
+"""Restoration of first disparities on surfaces that are not planar."""
 
 from __future__ import annotations
 

@@ -67,11 +67,11 @@ class SegmentSteps(ConfigModel):
         20, ge=1, le=1000, description="largest number of passes over all planes in the last assignment"
     )
     restoration: Restoration = Field(
-        default_factory=Restoration, description="first disparities in place of planes, on surfaces that are not planar"
+        default_factory=Restoration, description="first disparities instead of planes, on surfaces that are not planar"
     )
     refinement: tuple[RefinementStep, ...] = Field((), description="refinement steps on the finished map, in order")
     details: bool = Field(
-        False, description="also write first disparities and which are trusted, segments, key points, planes"
+        False, description="also write first disparities, trusted pixels, segments, key points and planes"
     )
 
     def from_volume(self, pair: StereoPair, volume: CostVolume, max_disparity: int, clock: Clock) -> StereoResult:

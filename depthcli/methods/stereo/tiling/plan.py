@@ -170,19 +170,19 @@ class Candidates:
 
 
 class Memory(NamedTuple):
-    """The bytes that a process may take (``allowed``), and the bytes that other things than tiles take (``held``)."""
+    """The bytes that a process may take (``allowed``), and the bytes in use besides tiles (``held``)."""
 
     allowed: int
     held: int
 
     def beside(self, pair: StereoPair) -> Memory:
-        """Return the same memory with the images of ``pair`` added to ``held``."""
+        """Return the memory with the bytes of the images of ``pair`` added to ``held``."""
         return Memory(self.allowed, self.held + pair.left.nbytes + pair.right.nbytes)
 
     def tiles(
         self, pair: StereoPair, candidates: Candidates, margins: Margins, need: Callable[[Tile], int]
     ) -> list[tuple[Tile, int]]:
-        """Return tiles of ``pair`` that fit, in order, and how many free bytes the pool of arrays may have before each.
+        """Return tiles of ``pair`` that fit, in order, and the free bytes that the pool of arrays may have before each.
 
         A tile takes ``need`` bytes. Raise InputError if not even the smallest fit.
         """

@@ -41,9 +41,11 @@ class DenseCrf(TransparentPipeline):
     dense_weight: float = Field(
         1.0, ge=0, description="cost per label of distance from the dense map of stereo, if any"
     )
-    truncation: float = Field(6.0, gt=0, description="distance from a value where its costs stop growing, labels")
+    truncation: float = Field(
+        6.0, gt=0, description="distance from a value beyond which its costs are constant, labels"
+    )
     smooth_truncation: int = Field(
-        8, ge=1, description="difference of two pixels where their cost stops growing, labels"
+        8, ge=1, description="difference of two pixels beyond which their cost is constant, labels"
     )
     bilateral_weight: float = Field(
         1.0, ge=0, description="weight of smoothness between pixels of similar position and color"

@@ -30,7 +30,9 @@ class Smoothing(ConfigModel):
         0.011, ge=0, description="distance from the nearest sample beyond which values are smoothed, share of the width"
     )
     radius: int = Field(5, ge=0, le=50, description="half the side of the window, pixels")
-    color_scale: float = Field(12.0, gt=0, description="color difference where weights fall to exp(-1/2), grey levels")
+    color_scale: float = Field(
+        12.0, gt=0, description="color difference at which weights fall to exp(-1/2), grey levels"
+    )
 
     def __call__(self, values: Floats, samples: Samples, image: Image8, wanted: Mask) -> Floats:
         """Return the map with ``wanted`` pixels far from ``samples`` smoothed; means leave out NaN."""

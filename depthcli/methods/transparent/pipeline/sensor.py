@@ -1,4 +1,4 @@
-"""The sensor alone, without sparse depth: its depth inside a mask of the objects is replaced."""
+"""The sensor alone, without sparse depth. Its depth inside a mask of the objects is replaced."""
 
 from __future__ import annotations
 
