@@ -178,9 +178,9 @@ class DepthProblem(Problem[SceneT, FrameInputs, RefinedDepth], Generic[SceneT, C
     def refined(
         self, refine: Callable[[Any], DepthResult], frame: RgbdFrame, inputs: FrameInputs, context: Context
     ) -> RefinedDepth:
-        """Return a frame's map refined, with its bound, and the pixels of its cloud if there is to be one.
+        """Return a frame's refined map with its bound, and the pixels of its cloud if a cloud is written.
 
-        The clock books the stages, and ``other``.
+        The clock measures the stages; the remaining time is ``other``.
         """
         config, clock = self.config, context.clock
         clock.start("other")

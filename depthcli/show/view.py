@@ -282,7 +282,7 @@ def draw_legend(entries: Iterable[tuple[str, Sequence[int]]]) -> Picture:
 
 
 def draw_swatch(sheet: Picture, words: str, place: tuple[int, int], color: Sequence[int]) -> None:
-    """Draw a line of a legend with its upper left corner at x, y: a swatch and its words."""
+    """Draw a line of a legend, a swatch and its words, with the upper left corner at x, y."""
     x, y = place
     cv2.rectangle(sheet, (x, y + 4), (x + 18, y + _LINE - 4), [*color], -1)
     cv2.rectangle(sheet, (x, y + 4), (x + 18, y + _LINE - 4), _INK)

@@ -198,7 +198,7 @@ class RgbdScene(Scene):
         return super().input_files | ({} if beta is None else {f"calibration: {beta.name}": beta})
 
     def with_scale(self, scale: float | None) -> Self:
-        """Return the scene with this number of codes per meter; None and raw scenes change nothing."""
+        """Return the scene with this number of codes per meter; unchanged for None, or if it has raw codes."""
         return self if scale is None or self.raw else replace(self, depth_scale=scale, scale_floats=True)
 
     @property
