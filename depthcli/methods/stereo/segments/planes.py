@@ -268,7 +268,7 @@ def visibility(begin, end, unary, limits, order, starts, coefficients, weight):
 
 @jit
 def out_of_range(begin, end, unary, width, order, starts, coefficients, max_disparity):
-    """Set a prohibitive cost for planes that leave [0, ``max_disparity``] by more than a pixel anywhere in a segment."""
+    """Set a prohibitive cost for planes that leave [0, ``max_disparity``] by more than a pixel in a segment."""
     lowest, highest = np.float32(-1), np.float32(max_disparity + 1)
     near_lowest, near_highest = np.float32(-0.99), np.float32(max_disparity + 0.99)
     planes = coefficients.astype(np.float32)
