@@ -197,6 +197,19 @@ def test_an_unusual_baseline_asks_for_its_unit(baseline: float, unit: str | None
     assert said in " ".join([row["error"], *(row["warnings"] or [])])
 
 
+@pytest.mark.parametrize("suffix", ["yml", "xml", "json"])
+def test_an_image_size_may_be_an_array(suffix: str, tmp_path: Path):
+    file, taken = tmp_path / f"c.{suffix}", rig()
+    stored = cv2.FileStorage(str(file), cv2.FILE_STORAGE_WRITE)
+    parts = {"K1": taken.left.matrix, "D1": taken.left.coefficients, "K2": taken.right.matrix,
+             "D2": taken.right.coefficients, "R": taken.rotation, "T": taken.translation[:, None],
+             "imageSize": np.array(SIZE, np.int32)}  # fmt: skip
+    for name, values in parts.items():
+        stored.write(name, values)
+    stored.release()
+    assert read_rig([file]).left.size == tuple(SIZE)
+
+
 def test_units_that_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     opencv(tmp_path / "a.yml", rig())
     write_pfm(tmp_path / "map.pfm", np.full((180, 240), 10, np.float32))

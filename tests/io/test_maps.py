@@ -150,12 +150,27 @@ def test_marks_of_no_value_are_the_same_for_maps_and_truth(tmp_path: Path, mark:
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, np.int16])
 def test_a_mark_that_is_given_is_rounded_as_the_numbers(tmp_path: Path, dtype):
-    np.save(tmp_path / "a.npy", np.array([[-9999, 3, 4.0]]).astype(dtype))
-    for found in (
-        read_foreign_map(tmp_path / "a.npy", 1.0, -9999.0),
-        known_truth(tmp_path / "a.npy", read_disparity(tmp_path / "a.npy", 1.0), -9999.0),
-    ):
-        np.testing.assert_array_equal(found, np.array([[np.nan, 3, 4]], np.float32))
+    for name, write in (("a.npy", np.save), ("a.tif", tifffile.imwrite)):
+        write(tmp_path / name, np.array([[-9999, 3, 4.0]]).astype(dtype))
+        for found in (
+            read_foreign_map(tmp_path / name, 1.0, -9999.0),
+            known_truth(tmp_path / name, read_disparity(tmp_path / name, 1.0), -9999.0),
+        ):
+            np.testing.assert_array_equal(found, np.array([[np.nan, 3, 4]], np.float32))
+
+
+@pytest.mark.parametrize(("dtype", "scale"), [(np.uint8, 8.0), (np.uint16, 2000.0), (np.int16, 1000.0)])
+def test_the_largest_code_of_integers_is_no_disparity(tmp_path: Path, dtype, scale: float):
+    top = np.iinfo(dtype).max
+    codes = np.random.default_rng(0).uniform(2 * scale, 0.7 * top, (40, 60)).astype(dtype)
+    codes[:9], codes[20, 20:24] = top, 3 * scale
+    np.save(tmp_path / "a.npy", codes)
+    for read in (read_foreign_map, lambda path, scale: known_truth(path, read_disparity(path, scale))):
+        with collected_warnings() as lines:
+            found = read(tmp_path / "a.npy", scale)
+        np.testing.assert_array_equal(np.isnan(found), codes == top)
+        assert any(f"22.5 % of the pixels are {top}" in line for line in lines)
+    assert not np.isnan(read_foreign_map(tmp_path / "a.npy", scale, np.nan)).any()
 
 
 def test_several_marks_and_a_few_pixels(tmp_path: Path):
@@ -355,14 +370,29 @@ def test_png_round_trip(tmp_path: Path):
         (np.array([[1.5, 1e10, 2]], np.float32), "1e+10"),
         (np.array([[1.5, 65504, 2]], np.float16), "65504"),
         (np.array([[1.5, 1e6, 2]], np.float64), "1e+06"),
+        (np.array([[30, 255, 40]], np.uint8), "255"),
+        (np.array([[150, 32767, 200]], np.int16), "32767"),
     ],
 )
 def test_largest_numbers_are_no_depth(tmp_path: Path, stored, mark):
     np.save(tmp_path / "d.npy", stored)
     with collected_warnings() as lines:
-        read = read_depth(tmp_path / "d.npy")
+        read = read_depth(tmp_path / "d.npy", {"u1": 20.0, "i2": 100.0}.get(stored.dtype.str[1:]))
     np.testing.assert_array_equal(read, np.array([[1.5, np.nan, 2]], np.float32))
     assert "d.npy: 33.3 %" in lines[0] and mark in lines[0]
+
+
+def test_a_depth_far_beyond_all_others_is_none(tmp_path: Path):
+    depth = np.random.default_rng(0).uniform(1, 30, (20, 30)).astype(np.float32)
+    depth[:2, :3], depth[5, 5] = 10_000, 45
+    write_pfm(tmp_path / "d.pfm", depth)
+    with collected_warnings() as lines:
+        read = read_depth(tmp_path / "d.pfm")
+    np.testing.assert_array_equal(np.isnan(read), depth == 10_000)
+    assert "d.pfm: 1 % of the pixels are 10000" in lines[0]
+    depth[depth == 10_000] = 95
+    write_pfm(tmp_path / "d.pfm", depth)
+    assert not np.isnan(read_depth(tmp_path / "d.pfm")).any()
 
 
 def test_raw_codes_of_a_kinect_are_no_millimeters(tmp_path: Path):

@@ -383,7 +383,7 @@ def _opencv_rig(files: Sequence[dict[str, Any]], fisheye: bool) -> Rig:
     if {"image_width", "image_height"} <= set(fields):
         size = image_sides([fields["image_width"], fields["image_height"]], "image_width, image_height")
     elif "imageSize" in fields:
-        size = image_sides(fields["imageSize"], "imageSize")
+        size = image_sides(_field(fields, "imageSize").tolist(), "imageSize")
     left, right = (_camera(fields, names[f"K{n}"], names[f"D{n}"], size, fisheye) for n in (1, 2))
     turn = _field(fields, names["R"])
     if turn.size != 9:  # a rotation vector

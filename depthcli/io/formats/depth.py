@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.io.formats.disparity import read_plane, without_value
-from depthcli.io.formats.files import shown, warn, write_bytes
+from depthcli.io.formats.disparity import far_constant, read_plane, without_value
+from depthcli.io.formats.files import is_of_a_run, shown, warn, write_bytes
 from depthcli.io.formats.images import write_png
 
 MILLIMETERS = 1000.0
@@ -61,14 +61,17 @@ def meters(
     default for 16-bit codes is 1000. Floating-point values are in meters, unless ``scale_floats`` is set and a scale is
     given.
 
-    Values that are not positive and finite, or are ``invalid``, are unknown. The largest uint16 and float16, and
-    greater depths, are unknown, too, with a warning. Implausible depths cause a warning that begins with ``name``.
+    Values that are not positive and finite, or are ``invalid``, are unknown. The largest code of the integers, the
+    largest uint16 and float16, greater depths, and a depth of several pixels that is far beyond all others and 100 m,
+    are unknown, too, with a warning. Implausible depths cause a warning that begins with ``name``.
 
     Raise InputError for 8-bit codes, or codes that look like raw Kinect codes, without a scale.
     """
     if values.dtype.kind == "b":
         raise InputError(f"{shown(name)}: true or false, expected depths")
+    none_too = list(_NO_DEPTH)
     if values.dtype.kind in "iu":
+        none_too.append(np.iinfo(values.dtype).max)
         if scale is None and values.dtype.itemsize == 1:
             raise InputError(f"{shown(name)}: 8-bit depth needs a scale (codes per meter): --depth-scale")
         values = codes_of(values, name)
@@ -85,9 +88,12 @@ def meters(
     scale = scale or 1.0
     with np.errstate(all="ignore"):  # infinite results are unknown, like infinite values
         depth = (values / np.float64(scale)).astype(np.float32)
-        marked = np.isin(values, _NO_DEPTH) | (np.isfinite(values) & (depth > _NO_DEPTH[0]))
+        marked = np.isin(values, none_too) | (np.isfinite(values) & (depth > _NO_DEPTH[0]))
     none = without_value(values, invalid)
     marked &= ~none
+    known = depth[~(none | marked | without_value(depth, positive=True))]
+    if (far := far_constant(known, MAX_DEPTH)) is not None and not is_of_a_run(name):
+        marked |= depth == far
     if marked.any():
         share, mark = 100 * np.mean(marked), values[marked].max()
         warn(f"{shown(name)}: {share:.3g} % of the pixels are {mark:g}: taken as no depth")

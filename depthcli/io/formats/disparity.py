@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,9 +88,10 @@ _MAX_MARKS = 4  # constants per map
 def without_constants(path: Path | str, disparity: NDArray[np.float32], is_truth: bool = False) -> NDArray[np.float32]:
     """Return a map with NaN for constants that mean no value in other programs' maps: OpenCV's -1, -9999, or 1e6.
 
-    These are the smallest value, if it is at most 0, frequent and isolated, and values of several pixels that exceed
-    the image width and are far from all others. Maps of this program's runs have no such constants. Each causes a
-    warning. The constant 0 of ground truth is kept, since the truth may be infinitely far.
+    These are the smallest value, if it is at most 0, frequent and isolated, the largest code of integers, if it is
+    frequent and isolated, and values of several pixels that exceed the image width and are far from all others. Maps of
+    this program's runs have no such constants. Each causes a warning. The constant 0 of ground truth is kept, since the
+    truth may be infinitely far.
     """
     if is_of_a_run(path):
         return disparity
@@ -98,10 +99,13 @@ def without_constants(path: Path | str, disparity: NDArray[np.float32], is_truth
     while len(marks) < _MAX_MARKS and (mark := _mark_of(left, disparity.shape)) is not None:
         marks.append(mark)
         left = left[left != mark]
-    stored, clean = disparity, disparity
-    if marks:
+    clean, stored = disparity, cast(NDArray[Any], disparity)
+    largest = left.max(initial=-np.inf)
+    if marks or _is_isolated(left, largest, disparity.size):
         with contextlib.suppress(InputError):  # e.g. disparities packed into colors have no single code
             stored = read_plane(path)
+    if stored.dtype.kind in "iu" and (stored[disparity == largest] == np.iinfo(stored.dtype).max).any():
+        marks += [largest] if _is_isolated(left, largest, disparity.size) else []
     for mark in marks:
         marked = disparity == mark
         code = float(stored[marked][0])
@@ -114,25 +118,38 @@ def without_constants(path: Path | str, disparity: NDArray[np.float32], is_truth
     return clean
 
 
-def _mark_of(known: NDArray[np.float32], shape: tuple[int, ...]) -> np.float32 | None:
-    """Return the value of a map that probably means no value: a far one, or a frequent smallest one; or None."""
+def far_constant(known: NDArray[np.float32], least: float) -> np.float32 | None:
+    """Return the value of several pixels that is beyond ``least`` and far beyond all other values; or None."""
     for far in (known.min, known.max) if known.size else ():
         mark = far()
         others = known[known != mark]
-        if abs(mark) > shape[1] and known.size - others.size > 1 and others.size:
+        if abs(mark) > least and known.size - others.size > 1 and others.size:
             nearest = np.abs(others[np.sign(others) == np.sign(mark)]).max(initial=np.float32(0))
             if abs(float(mark)) > _MIN_FAR_RATIO * float(nearest):
                 return np.float32(mark)
+    return None
+
+
+def _mark_of(known: NDArray[np.float32], shape: tuple[int, ...]) -> np.float32 | None:
+    """Return the value of a map that probably means no value: a far one, or a frequent smallest one; or None."""
+    if (far := far_constant(known, shape[1])) is not None:
+        return far
     for some in (known, known[known >= 0]):
         smallest = some.min(initial=np.float32(np.inf))
         n_marked = np.count_nonzero(some == smallest)
-        if smallest > 0 or n_marked < _MIN_CONSTANT_SHARE * math.prod(shape) or n_marked == some.size:
-            continue
-        n_near = np.count_nonzero(some <= np.float32(smallest + 1)) - n_marked
         is_common = 2 * n_marked <= some.size or smallest in _COMMON_MARKS or smallest <= _MAX_MARK
-        if n_near <= _MAX_NEIGHBOR_RATIO * n_marked and is_common:
+        if smallest <= 0 and is_common and _is_isolated(some, smallest, math.prod(shape)):
             return np.float32(smallest)
     return None
+
+
+def _is_isolated(known: NDArray[np.float32], end: np.float32, n_pixels: int) -> bool:
+    """Return whether a frequent value, the smallest or the largest, has few others within a pixel of it."""
+    n_marked = np.count_nonzero(known == end)
+    if n_marked < _MIN_CONSTANT_SHARE * n_pixels or n_marked == known.size:
+        return False
+    n_near = np.count_nonzero(np.abs(known - end) <= 1) - n_marked
+    return bool(n_near <= _MAX_NEIGHBOR_RATIO * n_marked)
 
 
 class ScaleError(InputError):

@@ -271,7 +271,7 @@ def decode_numbers(data: bytes) -> NDArray[Any] | None:
         raise InputError(f"decoded as {pixels.dtype}, but its header says {header.words}")
     _check_decoded(pixels, header.size if header.turn < 5 else header.size[::-1], 1, header.bits)
     with np.errstate(over="ignore"):
-        return pixels.astype(np.float32 if header.is_float else pixels.dtype.newbyteorder("="))
+        return pixels.astype(np.float32 if header.code == "f8" else pixels.dtype.newbyteorder("="))
 
 
 def write_drawn(path: Path, paint: Callable[[], NDArray[Any] | None]) -> None:

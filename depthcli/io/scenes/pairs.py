@@ -305,7 +305,9 @@ PAIRS = Layouts.of(
         files=({"left": "{frame}.left.jpg", "right": "{frame}.right.jpg", "name": "{frame}",
                 "disparity_left": "{frame}.left.depth.png"},),
     ),
-    LayoutRow(  # its development kit (argoverse-api) divides the codes of 16-bit PNGs by 256, too; 0 is unknown
+    # 16-bit codes are divided by 256, and 0 is unknown: get_disparity_map in data_loading/stereo_dataloader.py of the
+    # development kit, argoverse-api. Its benchmark counts errors above 3, 5 or 10 px and 10 %, KITTI's 3 px and 5 %.
+    LayoutRow(
         title="argoverse-stereo", protocol="kitti_2015", values=_KITTI_VALUES,
         about="`rectified_stereo_images_v1.1/**/stereo_front_left_rect/stereo_front_left_rect_TIME.jpg`, "
         "`stereo_front_right_rect`, `disparity_maps_v1.1/**/stereo_front_left_rect_disparity` (Argoverse 1)",

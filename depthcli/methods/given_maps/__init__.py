@@ -302,7 +302,10 @@ def odds_within(network: TrainedNetwork, within: float, alone: Plane, others: Pl
 def promised_of(
     networks: Networks, errors: ErrorTable, judged: Judged, within: float, level: float, filled: Filled = _NOWHERE
 ) -> tuple[Plane, Plane]:
-    """Return probability and bound (H, W) of a judged map by one of the tables of ``networks.right``."""
+    """Return probability and bound (H, W) of a judged map by one of the tables of ``networks.right``.
+
+    Rounding counts in all maps: the tables are of sub-pixel maps, and some methods of depthcli give whole pixels.
+    """
     odds = odds_of(networks, judged, 1.0) - doubt(judged) - FILLED_DOUBT * filled
     table = rounded(errors, rounding_step(judged.values[~judged.missing]))
     return promised(table, odds, judged.missing, within, level)
