@@ -94,7 +94,7 @@ def read(folder: Path) -> Reader:
 
 
 def test_curves_and_legends_lie_beside_the_page(made: Path):
-    assert "error. " in read(made).text.replace("\n", " ") and "error.Click" not in read(made).text
+    assert "errors. " in read(made).text.replace("\n", " ") and "errors.Click" not in read(made).text
     assert read_image(made / "errors" / "legend.png").shape[2] == 3
     (table,) = (made / "curves" / "all_scenes").glob("*_threshold.csv")
     assert table.with_suffix(".svg").read_text("utf-8").startswith("<?xml")
