@@ -69,18 +69,18 @@ class PairConfig(RootConfig):
 
     max_disparity: End = Field(
         None,
-        description="largest disparity searched, pixels; auto: estimated from the pair; null: the scene's or, if it "
-        "has none, auto, for pairs rectified by a calibration estimated from the first frames of a sequence",
+        description="largest disparity searched, pixels; auto: estimated from the pair; null: from the scene, or auto "
+        "(frames of a sequence that a calibration rectifies share the range of the first ones)",
     )
     min_disparity: End = Field(
         None,
-        description="smallest disparity searched, pixels; auto: estimated from the pair; null: the scene's, or 0",
+        description="smallest disparity searched, pixels; auto: estimated from the pair; null: from the scene, or 0",
     )
     calibration: Calibration | None = Field(
-        None, description="calibration for rectifying pairs first; null: they are rectified"
+        None, description="calibration that rectifies pairs first; null: pairs are already rectified"
     )
     bound: Bound | None = Field(
-        None, description="error bound and probability of a small error to compute, too; true: with the defaults"
+        None, description="also compute error bound and probability of a small error; true: with the defaults"
     )
     tiles: TileMode = Field(
         "auto",
