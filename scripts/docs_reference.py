@@ -115,7 +115,7 @@ def pages() -> dict[str, str]:
         "data": data(),
         "protocols": protocol_page(),
         "outputs": "# Outputs\n\n" + _sections(OUTPUTS),
-        "columns": "# Columns of tables\n\nIn brackets: the unit.\n\n" + _sections(COLUMNS),
+        "columns": "# Columns of tables\n\nUnits are in brackets.\n\n" + _sections(COLUMNS),
         "plugins": f"# Tests of plug-ins\n\n{_about(testing)}\n\n"
         + "\n".join(_documented(name, getattr(testing, name)) for name in testing.__all__).replace("### ", "## "),
     }
@@ -162,9 +162,10 @@ def presets() -> str:
 def configs() -> str:
     """Return the page of the keys that the config of each command has."""
     parts = [
-        "# Configs\n\nThe keys at the root of a config; those of methods are on the pages of their families. Every "
-        "config also takes `base`, a preset or file that it begins from, `plugins` of your own, and `symbols`, "
-        "other names of its keys for `--set` and `--over`, such as `{w: energy.smoothness}`.\n"
+        "# Configs\n\nThese are the keys at the root of a config. The pages of the families have the keys of "
+        "methods. Every "
+        "config also takes `base`, a preset or file whose keys it inherits, `plugins`, and `symbols`, "
+        "short names of keys for `--set` and `--over`, such as `{w: energy.smoothness}`.\n"
     ]
     for command, model in CONFIGS.items():
         parts.append(f"## `{command}`\n\n{_about(model)}\n\n{_fields(model)}")
@@ -239,13 +240,17 @@ def data() -> str:
         "Files, by their endings; the content decides": {**files, "volumes": " ".join(VOLUME_SUFFIXES)},
         "Maps of a run, by the protocol that scores them": {", ".join(which): ends for ends, which in maps.items()},
     }
-    text = "# Layouts and formats\n\n## Layouts\n\nRecognized by a folder's files, or named by `--layout NAME`.\n\n"
+    text = "# Layouts and formats\n\n## Layouts\n\n"
+    text += "A layout is recognized by a folder's files, or set by `--layout NAME`.\n\n"
     return text + _table(("Layout", "Files"), rows) + _sections(sections)
 
 
 def protocol_page() -> str:
     """Return the page of the protocols of ``evaluate``."""
-    parts = ["# Protocols\n\nHow `depthcli evaluate` scores; chosen by the ground truth, or by `--protocol NAME`.\n"]
+    parts = [
+        "# Protocols\n\nThe rules by which `depthcli evaluate` scores maps. The ground truth "
+        "decides which one applies, unless `--protocol NAME` sets another.\n"
+    ]
     for name, kind in ((name, protocols.load(name)) for name in protocols.names()):
         shown = kind.presentation
         parts.append(f"## `{name}`\n\n{shown.title}. {shown.note}\n\n{_about(kind, whole=True)}\n")

@@ -91,7 +91,7 @@ class PairConfig(RootConfig):
         3072,
         ge=300,
         le=1 << 20,
-        description="memory for a pair matched in tiles, MiB; less if less is free",
+        description="memory for a pair matched in tiles, MiB; smaller if less memory is free",
     )
 
     @field_validator("bound", mode="before")

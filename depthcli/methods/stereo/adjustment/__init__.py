@@ -34,8 +34,8 @@ Adjust = Annotated[
     tuple[Literal["noise", "rows", "light"], ...],
     Field(
         max_length=3,
-        description="adjustments before matching: noise (averaged away in both images where it is strong, as in "
-        "the dark), rows of the right image (imperfect rectification), its light (exposure, lamps)",
+        description="adjustments before matching: noise (strong noise of both images is averaged away), rows of the "
+        "right image (imperfect rectification), light of the right image (exposure, lamps)",
     ),
 ]
 
