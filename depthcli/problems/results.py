@@ -127,7 +127,7 @@ def chosen_pixels(
 def check_limits(near: float, far: float | None) -> None:
     """Raise ConfigError if no depth is between ``--near`` and ``--far``, meters; ``far`` None is no limit."""
     if far is not None and near >= far:
-        raise ConfigError(f"--near {near:g}, --far {far:g}: no depth lies between them")
+        raise ConfigError(f"--near {near:g}, --far {far:g}: no depth is between them")
 
 
 def cloud_pixels(

@@ -116,7 +116,7 @@ def registered(
     result = cameras.register(depth, shape)
     if np.isfinite(depth).any() and not np.isfinite(result).any():
         raise InputError(
-            "no point of the depth map lies in the color image; check depth_intrinsics, depth_to_color "
+            "no point of the depth map is in the color image; check depth_intrinsics, depth_to_color "
             "(meters) and the intrinsics of the color camera"
         )
     note = (

@@ -375,7 +375,7 @@ def _decode_pfm(data: bytes, path: Path | str) -> NDArray[np.float32]:
         )
     values = np.frombuffer(data, dtype, n_values, start).reshape(height, width, channels)[::-1]
     if channels == 3 and not np.array_equal(values, np.repeat(values[..., :1], 3, axis=2), equal_nan=True):
-        raise InputError("a colour PFM, expected one channel")
+        raise InputError("a color PFM, expected one channel")
     plane: NDArray[np.float32] = values[..., 0].astype(np.float32, order="C")
     return plane
 

@@ -127,7 +127,7 @@ def read_grey(path: Path | str) -> Image:
             # Programs disagree on whether such codes are meant as stored.
             raise InputError("a TIFF of codes in which 0 is white; store it as PNG, or with 0 black (MinIsBlack)")
         if pixels.ndim == 3 and not (pixels == pixels[..., :1]).all():
-            raise InputError("a colour image, expected one channel of codes")
+            raise InputError("a color image, expected one channel of codes")
     if text := _left_over(data):
         warn(f"{shown(path)}: {text}")
     return pixels if pixels.ndim == 2 else cast(Image, np.ascontiguousarray(pixels[..., 0]))
@@ -345,7 +345,7 @@ def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int |
     """
     if left.shape[:2] != right.shape[:2] or left.dtype != right.dtype:
         first, second = (
-            f"{image.shape[1]} x {image.shape[0]} {'grey' if image.ndim == 2 else 'colour'} {image.dtype}"
+            f"{image.shape[1]} x {image.shape[0]} {'grey' if image.ndim == 2 else 'color'} {image.dtype}"
             for image in (left, right)
         )
         raise InputError(f"{shown(paths[1])}: {second}, but {shown(paths[0].name)} is {first}; the pair must agree")
