@@ -51,7 +51,7 @@ def chapter_2(scene: Any) -> Rows:
     """Return the errors of the presets, and of those of chapter 2 with values that were searched on other scenes."""
     rows = {name: errors(matcher(name), scene) for name in (*CH2.values(), *OURS)}
     for name in CH2.values():
-        points = ["keypoints=surf"] if "kp" in name else []  # its defaults
+        points = [THESIS["key points searched elsewhere"]] if "kp" in name else []
         rows[f"{name}, elsewhere"] = errors(matcher(name, *THESIS["searched elsewhere"], *points), scene)
     return rows
 
