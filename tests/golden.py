@@ -10,7 +10,7 @@ import os
 import re
 import tempfile
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -118,13 +118,15 @@ def svg_words(file: Path) -> str:
     return f"{file.name}: {', '.join(text.strip(chr(0x200B)) for text in texts)}"
 
 
-def same_figures(key: str, folder: Path, renewed: bool, endings: tuple[str, ...] = (".pfm", ".nii.gz")) -> None:
+def same_figures(
+    key: str, folder: Path, renewed: bool, endings: tuple[str, ...] = (".pfm", ".nii.gz"), columns: Sequence[str] = ()
+) -> None:
     """Compare every map below a folder with the figures of ``key`` in ``tests/outputs/maps.json``, or write them.
 
     A map has the share of its pixels with a value, their mean, and the mean step to the next one (on the right, or of
-    the next channel).
+    the next channel). Names of ``columns`` are kept, too.
     """
-    found = {}
+    found: dict[str, Any] = {"columns": " ".join(columns)} if columns else {}
     for path in sorted(path for path in folder.rglob("*") if path.name.endswith(endings)):
         values = np.array(_values(path), np.float64)
         values[~np.isfinite(values)] = np.nan
@@ -137,7 +139,7 @@ def same_figures(key: str, folder: Path, renewed: bool, endings: tuple[str, ...]
         kept[key] = found
         lines = [f' "{name}": {json.dumps(kept[name])}' for name in sorted(kept)]
         file.write_text("{\n" + ",\n".join(lines) + "\n}\n", "utf-8")
-    assert found == {name: pytest.approx(figures, 1e-3, 1e-6) for name, figures in kept[key].items()}
+    assert found == {name: pytest.approx(each, 1e-3, 1e-6) for name, each in kept[key].items()}
 
 
 def steady_json(text: str, measured: tuple[str, ...] = MEASURED) -> str:

@@ -5,6 +5,7 @@ import locale
 import re
 import shutil
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -225,6 +226,8 @@ def test_figures_in_the_body_are_of_blocks_of_voxels():
     found = inside_figures(RegistrationResult(expected_error=error, step=(1, 1, 1), start=(0, 0, 0)), loaded)
     assert found["above_3mm"] == 0.008
     assert [found[f"above_{axis}"] for axis in "xyz"] == [2.5, 4.5, 4.5]
+    nowhere = replace(loaded, pair=replace(pair, mask=ones > 1))
+    assert inside_figures(RegistrationResult(expected_error=error, step=(1, 1, 1), start=(0, 0, 0)), nowhere) == {}
 
 
 def test_figures_that_stop_at_the_border_of_the_search_are_lower_bounds(made_volumes, tmp_path, capsys):

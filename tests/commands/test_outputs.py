@@ -24,6 +24,8 @@ RUNS = {
     "fuse": ("two_scenes", "fuse", "consensus", "--max-disparity", "12"),
     "refine-kinect": ("made_kinect", "refine-kinect", "fast", "--scenes", "planes"),
     "transparent": ("made_glass", "transparent", "sparse", "--scenes", "glass_0"),
+    "confidence": ("two_scenes", "confidence", "--maps", "{input}", "--measure", "all"),
+    "rectify": ("two_scenes", "rectify", "--uncalibrated"),
     "register-confidence": ("made_volumes", "register-confidence", "axes", "--scenes", "pair_0"),
 }
 
@@ -32,7 +34,8 @@ RUNS = {
 @pytest.mark.parametrize("name", RUNS)
 def test_a_run(name: str, same: Same, request: pytest.FixtureRequest, tmp_path: Path, capsys):
     fixture, *words = RUNS[name]
-    words += ["-i", str(request.getfixturevalue(fixture)), "-o", str(tmp_path / "run")]
+    scenes = str(request.getfixturevalue(fixture))
+    words = [*(word.format(input=scenes) for word in words), "-i", scenes, "-o", str(tmp_path / "run")]
     assert main(words) == 0
     same(f"{name}.table.txt", steady_table(capsys.readouterr().out))
     same(f"{name}.report.csv", steady_csv((tmp_path / "run" / "report.csv").read_text()))

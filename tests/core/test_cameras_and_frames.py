@@ -9,7 +9,7 @@ import pytest
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
-from depthcli.core.frames import StereoPair, infrared_image
+from depthcli.core.frames import RgbdFrame, StereoPair, infrared_image
 from depthcli.core.volumes import ENDS, Grid
 from tests.golden import refused, saying
 
@@ -85,6 +85,14 @@ def test_both_images_share_one_scale_and_larger_samples_are_white():
 def test_infrared_is_white_above_999_of_1000_pixels():
     levels = infrared_image(np.arange(10_000, dtype=np.uint16)[None])[0]
     assert (levels[5000], levels[9950], levels[9990]) == (128, 254, 255)
+
+
+def test_color_and_depth_of_a_frame_fit():
+    color, depth = np.zeros((4, 5, 3), np.uint8), np.ones((4, 5), np.float32)
+    assert RgbdFrame(color, depth).shape == (4, 5)
+    for wrong in ((color[..., 0], depth), (color, depth[1:]), (color, depth.astype(np.float64)), (color / 2, depth)):
+        with pytest.raises(ValueError, match="expected"):
+            RgbdFrame(*wrong)
 
 
 def test_bits_must_fit_the_type():

@@ -223,6 +223,12 @@ def test_a_file_that_is_no_plugin(text: str | None, tmp_path: Path):
     assert "wide_census" in COSTS.names()
 
 
+def test_ctrl_c_while_a_plugin_is_imported_is_no_fault_of_it(tmp_path: Path):
+    (tmp_path / "mine.py").write_text("raise KeyboardInterrupt")
+    with pytest.raises(KeyboardInterrupt):
+        load_plugin(str(tmp_path / "mine.py"))
+
+
 def test_an_installed_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     source = "from depthcli.methods.stereo.cost.census import Census\n\n\nclass FarCensus(Census):\n    pass\n"
     package = install(tmp_path, monkeypatch, "strange-cost", source)

@@ -7,9 +7,20 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.evaluation.curves import N_BINS, HiddenPixels, Reliability, reliability
+from depthcli.evaluation.map_files import DisparityFiles
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import read_grey, write_png
 from tests.golden import told
+
+
+def test_a_measure_called_probability_is_not_that_of_the_map(tmp_path: Path):
+    for name in ("disp_left", "probability", "confidence_probability", "confidence_pkr", "confidence"):
+        (tmp_path / f"{name}.pfm").touch()
+    found = DisparityFiles().planes(tmp_path / "disp_left.pfm")
+    assert {name: file.stem for name, file in found.items()} == {
+        "probability": "probability", "confidence_probability": "confidence_probability", "pkr": "confidence_pkr",
+        "confidence": "confidence",
+    }  # fmt: skip
 
 
 def test_expected_calibration_error_by_hand():

@@ -109,6 +109,8 @@ def test_half_a_pair_is_an_item_with_a_problem(tmp_path: Path):
     (tmp_path / "c" / "im1.png").unlink()
     for scene in find(tmp_path):
         refused(InputError, load, scene)
+        with pytest.raises(InputError):
+            true(scene)
 
 
 def test_a_folder_named_as_an_image_is_none(tmp_path: Path):

@@ -2,11 +2,13 @@
 
 import gzip
 import json
+import struct
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.core.errors import InputError
@@ -27,6 +29,10 @@ TURNED = (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 TILTED = tuple(np.round(np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]]), 12).ravel())
 FLIPPED = (-1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 HALF_TURN = (-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0)
+OBLIQUE = [  # by nearly half a turn about an axis that lies nearest to x, y or z
+    tuple(Rotation.from_rotvec(np.radians(angle) * np.array(axis) / 3).as_matrix().ravel())
+    for axis, angle in (((2, 1, 2), 175), ((1, 2, 2), -175), ((1, -2, 2), 170), ((2, 2, -1), -170))
+]
 
 
 def volume(vector=False):
@@ -34,8 +40,15 @@ def volume(vector=False):
     return rng.standard_normal((4, 5, 6, 3) if vector else (4, 5, 6)).astype(np.float32)
 
 
+def by_quaternion(header):
+    """Directions in LPS by the quaternion of a NIfTI header, which ITK leaves aside where there is a matrix, too."""
+    (third,), (b, c, d) = struct.unpack_from("<f", header, 76), struct.unpack_from("<3f", header, 256)
+    turn = Rotation.from_quat([b, c, d, np.sqrt(max(0, 1 - b * b - c * c - d * d))]).as_matrix()
+    return (np.diag([-1, -1, 1]) @ turn @ np.diag([1, 1, third])).ravel()
+
+
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".mha", ".nrrd"])
-@pytest.mark.parametrize("direction", [Grid.direction, TURNED, TILTED, FLIPPED, HALF_TURN])
+@pytest.mark.parametrize("direction", [Grid.direction, TURNED, TILTED, FLIPPED, HALF_TURN, *OBLIQUE])
 @pytest.mark.parametrize("vector", [False, True])
 def test_simpleitk_reads_what_is_written(tmp_path, suffix, direction, vector):
     values = volume(vector)
@@ -46,6 +59,8 @@ def test_simpleitk_reads_what_is_written(tmp_path, suffix, direction, vector):
     np.testing.assert_allclose(image.GetSpacing(), grid.spacing, rtol=1e-6)
     np.testing.assert_allclose(image.GetOrigin(), grid.origin, rtol=1e-5)
     np.testing.assert_allclose(image.GetDirection(), direction, atol=1e-5)
+    if suffix == ".nii":
+        np.testing.assert_allclose(by_quaternion((tmp_path / "a.nii").read_bytes()), direction, atol=1e-3)
     back = read_volume(tmp_path / f"a{suffix}", vector)
     np.testing.assert_array_equal(back.values, values)
     assert back.grid.same_as(grid)

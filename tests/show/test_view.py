@@ -1,6 +1,7 @@
 """Pictures of maps: values, confidence, bounds."""
 
 import numpy as np
+import pytest
 
 from depthcli.show.view import NO_VALUE, View, bound_range, draw, draw_legend, map_colors
 
@@ -18,6 +19,9 @@ def test_confidence_is_spread_robustly():
     assert np.all(np.diff(picture.ravel()[3:].astype(int)) >= 0)
     assert confidence(np.full((2, 2), 7.0)).tolist() == [[255, 255]] * 2
     assert confidence(np.full((2, 2), np.nan)).tolist() == [[0, 0]] * 2
+    for absent in ("status", "bound", "error", "sharpness"):
+        with pytest.raises(ValueError, match=absent):
+            draw(View(values), absent)
 
 
 def test_previews():

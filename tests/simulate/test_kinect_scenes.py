@@ -44,6 +44,15 @@ def test_a_nearer_object_is_not_shadowed_by_a_farther_one():
     assert not sample.occluded[:, :29].any() and not sample.occluded[:, 60:].any()
 
 
+def test_pixels_beside_a_step_have_values_between_both_surfaces():
+    plain = {"fattening": 0, "shadows": "none", "noise": 0.0, "discs": 0}
+    sample = simulate_kinect(GREY, box_scene(), 0, mixed=2, **plain)
+    beside = np.isin(np.arange(120), [*range(48, 52), *range(78, 82)])
+    np.testing.assert_array_equal(sample.disparity[:, ~beside], box_scene()[:, ~beside])
+    values = sample.disparity[:, beside]
+    assert values.min() >= 10 and values.max() <= 22 and values.mean() == pytest.approx(16, abs=1)
+
+
 def test_slopes_are_no_edges():
     truth = np.tile(np.linspace(10, 60, 120, dtype=np.float32), (60, 1))
     sample = simulate_kinect(GREY, truth, 0, noise=0.0, discs=0)

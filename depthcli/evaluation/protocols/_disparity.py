@@ -117,7 +117,6 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
 
     def truth(self, scene: Scene) -> DisparityTruth:
         """Return the ground truth of the left view with its masks."""
-        scene.check()
         if not isinstance(scene, StereoScene):
             raise InputError(f"{scene.folder}: {scene.name} is no stereo pair, which {self.name} scores")
         stored = self.read_truth(replace(scene, invalid=self.settings.invalid))

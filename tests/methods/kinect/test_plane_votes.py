@@ -5,7 +5,15 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.plane_fitting.window_planes import window_planes
-from depthcli.methods.kinect.candidates import LEVELS, OPENING_LEVEL, ExtraVotes, Voters, cast_votes, hidden_openings
+from depthcli.methods.kinect.candidates import (
+    LEVELS,
+    OPENING_LEVEL,
+    ExtraVotes,
+    Voters,
+    cast_votes,
+    color_similarity,
+    hidden_openings,
+)
 from depthcli.methods.kinect.depth_edges import MIN_OFFSET, correct_probability, outline_offsets
 from depthcli.methods.kinect.gap_limits import GapLimits, shadow_background, shadow_limits
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
@@ -61,6 +69,11 @@ def test_planes_whose_windows_did_not_change_are_taken_over():
     for name in ("value", "slope_x", "slope_y", "scale"):
         np.testing.assert_array_equal(getattr(again, name), getattr(anew, name))
     np.testing.assert_array_equal(first.value, window_planes(disparity, trust, 0.3).value)
+
+
+def test_colors_are_the_less_similar_the_farther_they_are_but_never_without_a_vote():
+    similarity = color_similarity(40.0)
+    assert similarity[0] == pytest.approx(1.002) and (np.diff(similarity) <= 0).all() and similarity[-1] > 0
 
 
 def test_votes_agree_with_the_reference():

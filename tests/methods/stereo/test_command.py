@@ -267,6 +267,12 @@ def run(folder: Path, code: str, timeout: float = 60.0, memory: int = 1 << 40) -
     return context.used
 
 
+def test_the_program_and_files_among_its_words_are_inputs(here: Path):
+    words = [sys.executable, "sgbm.py", "{left}", "{right}", "{output}", "absent.py", "failing.py"]
+    found = program(words).pipeline.used_files()  # type: ignore[attr-defined]
+    assert found == {"program": Path(sys.executable), "program_1": Path("sgbm.py"), "program_2": Path("failing.py")}
+
+
 def test_time_and_memory_are_those_of_the_program(tmp_path: Path):
     found = run(tmp_path, 'block = bytearray(b"x" * (64 << 20)); print(sum(range(3_000_000)))')
     assert found["program_cpu"] > 0.01
