@@ -97,7 +97,7 @@ class Section:
         return (self.protocol.pooled(scored) or [self.score(run, place, keys[0])])[0]
 
     def bounds(self, run: str) -> list[Score]:
-        """Return the means over all maps with bounds of their scores."""
+        """Return the mean scores of error bounds, over all maps that have them."""
         return bound_means([r.bounds for r in self.results_of(run) if r.bounds])
 
     def threshold_curve(self, run: str) -> list[Score]:

@@ -126,7 +126,7 @@ class Truth(typing.Protocol):
 
     @property
     def size(self) -> int:
-        """Number of pixels or voxels that a run processes, by which its seconds are divided."""
+        """Number of pixels or voxels that a run processes, for its time per pixel."""
 
     @property
     def looks_like(self) -> str:

@@ -42,8 +42,9 @@ class GlassErrors(NamedTuple):
 
     Attributes
     ----------
-    curves : (n, 2 + kinds) float64, points of the curves: index of the plane, its value, its addition for each kind
-    tables : for each kind, the errors at the negative sums, in multiples of the unit that ``units`` returns
+    curves : (n, 2 + kinds) float64, points of the curves: index of the plane, its value, and for each kind the term
+        added to the score
+    tables : for each kind, the errors at each score, in multiples of the unit that ``units`` returns
     """
 
     curves: Doubles
