@@ -52,8 +52,10 @@ def run_scenes(
 ) -> tuple[list[Row], list[str]]:
     """Compute every scene that is not done yet, and write the run folder ``output``.
 
-    Returns ------- The rows of the report in order, one per scene of this call or its shard (with ``fail_fast`` up to
-    the first failure): ``scene``, ``status`` (done or failed), ``error``, facts, ``seconds`` by stage, ``peak_memory``
+    Returns
+    -------
+    The rows of the report in order, one per scene of this call or its shard (with ``fail_fast`` up to the first
+    failure): ``scene``, ``status`` (done or failed), ``error``, facts, ``seconds`` by stage, ``peak_memory``
     in bytes, ``source``, ``warnings``. Also the names of scenes without a row, which other processes still compute;
     there are none for the process that ends last.
 
