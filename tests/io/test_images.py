@@ -184,6 +184,24 @@ def test_size_is_known_without_decoding(tmp_path: Path, suffix):
     assert image_size(path) == (5, 7)
 
 
+def test_views_of_different_numbers_of_bits_are_named(tmp_path: Path):
+    full = np.random.default_rng(0).integers(0, 1 << 16, (20, 30), np.uint16)
+    for name, image in (("full", full), ("twelve", full >> 4), ("dim", full // 2)):
+        write_png(tmp_path / f"{name}.png", image)
+    for pair in (("full", "twelve"), ("twelve", "full")):
+        with collected_warnings() as lines:
+            read_pair(*(tmp_path / f"{name}.png" for name in pair))
+        assert any(f"{pair[1]}.png" in line and "number of bits" in line for line in lines)
+    with collected_warnings() as lines:
+        read_pair(tmp_path / "full.png", tmp_path / "dim.png")  # another exposure
+    assert not lines
+    for top in (1023, 4095):
+        (tmp_path / f"{top}.pgm").write_bytes(b"P5 30 20 %d\n" % top + (full % (top + 1)).astype(">u2").tobytes())
+    with collected_warnings() as lines:
+        read_pair(tmp_path / "1023.pgm", tmp_path / "4095.pgm")
+    assert "number of bits" in lines[0]
+
+
 def test_samples_of_ten_and_twelve_bits(tmp_path: Path):
     dark = np.array([[0, 1000]], np.uint16)
     assert bits_said((dark,), "a") == 10

@@ -57,6 +57,8 @@ _MAX_TEXT_BYTES = 1 << 25  # largest plain PGM or PPM; reading takes 50 bytes pe
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILES, _FORMAT, _FLOATS = 256, 257, 258, 277, (322, 323), 339, 3  # tags of TIFF
 _PHOTOMETRIC, _PLANAR, _SUBFILE, _EXTRA = 262, 284, 254, 338  # further tags of TIFF
 _SIGNED, _SEPARATE, _MIN_IS_WHITE, _RGB = 2, 2, 0, 2  # values of the tags
+# Of the mean samples of two 16-bit views: another number of bits is a factor of 4 at least, other exposures are less.
+_MAX_BRIGHTER = 3.0
 _PART_OF_PAGE = 5  # bits of _SUBFILE: a page of lower resolution, or a mask of another page
 _MAX_PAGES = 10_000  # TIFF pages to count
 _ORIENTATION = 274  # tag of TIFF and EXIF: the turn or reflection that makes the stored image upright
@@ -341,7 +343,8 @@ def read_pair(left: Path | str, right: Path | str) -> StereoPair:
 def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int | None = None) -> StereoPair:
     """Return two images as a pair, both grey if one is; ``declared`` is the bits per sample in the files' headers.
 
-    Raise InputError if their sizes or dtypes differ.
+    Raise InputError if their sizes or dtypes differ. Warn if one of two 16-bit images is several times as bright as the
+    other, which happens if the files use different numbers of bits.
     """
     if left.shape[:2] != right.shape[:2] or left.dtype != right.dtype:
         first, second = (
@@ -350,6 +353,11 @@ def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int |
         )
         raise InputError(f"{shown(paths[1])}: {second}, but {shown(paths[0].name)} is {first}; the pair must agree")
     bits = bits_said((left, right), paths[0], declared)
+    if left.itemsize > 1:
+        means = [float(image.mean()) for image in (left, right)]
+        if max(means) > _MAX_BRIGHTER * min(means):
+            other = f"{means[0]:.4g} in {shown(paths[0].name)}: do both files use the same number of bits?"
+            warn(f"{shown(paths[1])}: the mean sample is {means[1]:.4g}, and {other}")
     if bits <= 8 < 8 * left.itemsize and declared is None:
         left, right = left.astype(np.uint8), right.astype(np.uint8)
     if left.ndim != right.ndim:
