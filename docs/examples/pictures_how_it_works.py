@@ -94,7 +94,7 @@ def comparison(
     for value in values:
         found, error = compute(value)
         means = ", ".join(f"{name} {format(np.nanmean(error[mask]), form)}" for name, mask in masks.items())
-        columns.append((f"{key} = {value}\nerror: {means}", found, error))
+        columns.append((f"{key} = {value}\n{means}", found, error))
     return columns
 
 
@@ -123,7 +123,7 @@ def kinect_probability() -> Any:
         compute,
         "min_probability",
         ".2f",
-        dict(zip(("gaps", "edges", "elsewhere"), masks, strict=True)),
+        dict(zip(("gaps", "edges", "rest"), masks, strict=True)),
     )
     spans = [(*np.nanpercentile(FB / truth, (1, 99)), "turbo"), (0, 5, "magma")]
     return panels(columns, spans, 9.0, ["disparity, px", "error, px"])
