@@ -37,7 +37,7 @@ from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.refinement import RefinementStep
 from depthcli.methods.stereo.segments.steps import SegmentSteps
-from depthcli.methods.stereo.stages import finish
+from depthcli.methods.stereo.stages import TILE_HALO, finish
 from depthcli.methods.stereo.volume import CostVolume, StereoResult
 
 _NEEDS_MAPS: dict[str, LiteralString] = {
@@ -100,6 +100,8 @@ class FusedMeasure(ConfigModel):
 
 class Fusion(AdjustingMatcher):
     """Stereo by several cost measures. At each pixel, a measure has more weight if more pixels around agree with it."""
+
+    uses_devices: ClassVar[bool] = True
 
     measures: tuple[FusedMeasure, ...] = Field(min_length=1, max_length=16, description="measures to fuse")
     weights: Literal["consensus", "confidence", "equal", "select", "vote"] = Field(
@@ -180,7 +182,10 @@ class Fusion(AdjustingMatcher):
 
     def tile_halo(self) -> int | None:
         """Return None if there are volumes, which cover the whole pair."""
-        return None if self.volumes else super().tile_halo()
+        return None if self.volumes else TILE_HALO
+
+    def tile_stages(self) -> None:
+        """Return None: each tile is matched as a pair."""
 
     @property
     def network_name(self) -> str | None:

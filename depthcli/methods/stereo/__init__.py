@@ -8,7 +8,7 @@ Start at :func:`.matching.match`. The modules, in the order in which data pass t
 | ``keypoint_matching`` | pair -> matched key points, for the segments of chapter 2 |
 | ``search_range`` | pair, ends given by the user or "auto" -> the disparities to search (by the pair at a small size) |
 | ``matching`` | matcher, pair, largest disparity, limits -> ``StereoResult``; matched whole, in tiles or on a device |
-| ``stages`` | ``PairMatcher``, the base of all matchers; ``CostStages``, the families below in one object |
+| ``stages`` | ``PairMatcher``, the members of all matchers; ``CostStages``, the families below in one object |
 | ``pipeline/`` | the matchers of ``stereo``, one file each: pair, largest disparity -> ``StereoResult`` |
 | ``tiling/`` | a matcher and a pair too large to match whole -> ``StereoResult``, tile by tile, coarse to fine |
 | ``volume`` | the types that stages pass to each other: ``CostVolume``, ``RefinementContext``, ``StereoResult`` |

@@ -1,10 +1,9 @@
-"""``PairMatcher``, the base of all matchers; ``CostStages``, the stages of methods that compute costs."""
+"""``PairMatcher``, the members of all matchers; ``CostStages``, the stages of methods that compute costs."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Literal, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,36 +24,26 @@ from depthcli.methods.stereo.refinement import Refinement, RefinementStep
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.volume import CostMinima, CostVolume, RefinementContext, StereoResult
 
-_TILE_HALO = 64  # pixels, for methods that do not declare one
+TILE_HALO = 64
+"""Pixels that a part of a pair needs around it if its method declares no other number."""
 
 
-class PairMatcher(ABC):
-    """A matcher of pairs (pipelines, fusion), and how :func:`..matching.match` may match a large pair."""
+class PairMatcher(Protocol):
+    """What :func:`..matching.match` needs of a matcher; ``StereoPipeline`` describes it. ``fuse`` has one, too."""
 
-    uses_devices: ClassVar[bool] = True
-    """Whether :mod:`depthcli.device` opens the devices that it runs on; a network's runtime does so itself."""
+    uses_devices: ClassVar[bool]
 
-    @abstractmethod
-    def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None, /) -> StereoResult:
-        """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive; context None: not part of a scene."""
+    def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None, /) -> StereoResult: ...
 
-    @abstractmethod
-    def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Estimate the peak working memory of matching a whole pair of (H, W) ``shape``, bytes."""
+    def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int: ...
 
-    def tile_halo(self) -> int | None:
-        """Return the margin, in pixels, that a part of a pair needs; None: only the whole pair can be matched."""
-        return _TILE_HALO
+    def tile_halo(self) -> int | None: ...
 
-    def tile_stages(self) -> CostStages | None:
-        """Return the stages if only their costs are computed tile by tile; None: each tile is matched as a pair."""
-        return None
+    def tile_stages(self) -> CostStages | None: ...
 
     def prepared(
         self, pair: StereoPair, max_disparity: int, context: Context | None, clock: Clock
-    ) -> tuple[StereoPair, Self]:
-        """Return the pair after the steps that need all of it, and a matcher without these steps for its tiles."""
-        return pair, self
+    ) -> tuple[StereoPair, Self]: ...
 
 
 class CostStages(ConfigModel):

@@ -28,7 +28,7 @@ from depthcli.methods.stereo.adjustment.right_view import (
 )
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
-from depthcli.methods.stereo.stages import PairMatcher, quick_stages
+from depthcli.methods.stereo.stages import quick_stages
 
 Adjust = Annotated[
     tuple[Literal["noise", "rows", "light"], ...],
@@ -87,8 +87,8 @@ def _adjusted(pair: StereoPair, max_disparity: int, what: Adjust) -> StereoPair:
     return pair
 
 
-class AdjustingMatcher(PairMatcher, BaseModel):
-    """A matcher that first adjusts the right image to the left one."""
+class AdjustingMatcher(BaseModel):
+    """The part of a matcher that first adjusts the right image to the left one."""
 
     adjust: Adjust = ()
 
