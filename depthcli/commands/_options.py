@@ -13,7 +13,7 @@ import re
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeAlias
 
 from typer import Argument, BadParameter, Option
 
@@ -21,6 +21,9 @@ from depthcli.core.errors import ConfigError
 from depthcli.run.console import Reporter
 from depthcli.run.flags import Condition, conditions_of
 from depthcli.run.job import Execution, shard_of
+
+if TYPE_CHECKING:
+    from depthcli.evaluation.protocols import Settings
 
 NOWHERE = Path(os.devnull, "no output")
 """Stands for the run folder if none is given, which is allowed if nothing is computed."""
@@ -343,6 +346,31 @@ class ScoredRunOptions(RunOptions):
 
     evaluate: bool = option(False, "--evaluate", help="Compare the results with the input's ground truth.")
     html: HtmlOption = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoringOptions:
+    """Settings of protocols; each takes some of them."""
+
+    resolution: str | None = option(
+        None, metavar="F|H|Q", help="Size of Middlebury v3's ground truth. Default: by the width."
+    )
+    resize: str | None = option(None, metavar="WxH", help="Resize depth maps and ground truth to this size.")
+    threshold: float | None = option(
+        None, metavar="T", min=1e-6, help="Error above which a pixel is incorrect. Default: the benchmark's."
+    )
+
+    def settings(self, scale: float | None, invalid: float | None) -> Settings:
+        """Return the settings, with the coding of all maps. Raise ConfigError for an impossible size or resolution."""
+        from depthcli.evaluation.protocols import Settings
+
+        size = None
+        if self.resize is not None:
+            found = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", self.resize.strip().lower())
+            if found is None:
+                raise ConfigError(f"--resize: expected WIDTHxHEIGHT, such as 256x144 (got {self.resize!r})")
+            size = int(found[1]), int(found[2])
+        return Settings(scale, (self.resolution or "").upper() or None, self.threshold, size, invalid)
 
 
 @dataclass(frozen=True, kw_only=True)

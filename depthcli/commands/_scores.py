@@ -13,6 +13,7 @@ from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import PAGE_FILE, RESULTS, Choices, Viewer, can_be_missed, evaluate_runs
 from depthcli.evaluation.map_files import run_names
 from depthcli.evaluation.protocols import load
+from depthcli.io.formats.files import RUN_FILE
 from depthcli.io.scenes import Scene, SequenceScene
 from depthcli.io.scenes.places import local, origin
 from depthcli.problems.problem import SceneJob
@@ -23,8 +24,9 @@ from depthcli.report.tables import check_names, chosen_text, headline_text
 from depthcli.report.without_truth import RunWithoutTruth
 from depthcli.run.console import Reporter
 from depthcli.run.flags import flag_rows
-from depthcli.run.folder import EVALUATION, saved_config, staging_folder
+from depthcli.run.folder import EVALUATION, staging_folder
 from depthcli.run.job import SceneT
+from depthcli.run.records import read_text
 from depthcli.show.table import FORMATS, Row
 
 
@@ -58,7 +60,7 @@ def evaluated(
             staging_folder(output, "evaluate", RESULTS, reporter.info) as folder,
         ):
             page.begin(folder)
-            page.write(report, "{}", {shown.name: saved_config(shown.folder)})
+            page.write(report, "{}", {shown.name: read_text(shown.folder / RUN_FILE)})
     return report
 
 

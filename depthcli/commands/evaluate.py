@@ -11,7 +11,6 @@ Examples:
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated
 
@@ -25,6 +24,7 @@ from depthcli.commands._options import (
     LayoutOption,
     Printing,
     ScenesOption,
+    ScoringOptions,
     TableOptions,
     local_output,
 )
@@ -51,16 +51,7 @@ def evaluate(
     *,
     coding: CodingOptions,
     maps: Annotated[list[str] | None, Option(hidden=True)] = None,  # old name of --pattern
-    resolution: Annotated[
-        str | None, Option(metavar="F|H|Q", help="Size of Middlebury v3's ground truth. Default: by the width.")
-    ] = None,
-    resize: Annotated[
-        str | None, Option(metavar="WxH", help="Resize depth maps and ground truth to this size.")
-    ] = None,
-    threshold: Annotated[
-        float | None,
-        Option(metavar="T", min=1e-6, help="Error above which a pixel is incorrect. Default: the benchmark's."),
-    ] = None,
+    scoring: ScoringOptions,
     compare: Annotated[
         str, Option(metavar="best|all", help="Test the runs against the best, or all pairs of them.")
     ] = "best",
@@ -73,18 +64,21 @@ def evaluate(
     from depthcli.commands._scores import check_tables, print_place, print_tables, viewers
     from depthcli.evaluation.evaluate import Choices, evaluate_runs, scenes_with_truth
     from depthcli.evaluation.map_files import MapNaming, find_runs, given_naming
-    from depthcli.evaluation.protocols import Settings, load
+    from depthcli.evaluation.protocols import load
     from depthcli.io.scenes.places import local
 
+    # The runs, and how their maps are named and coded.
     reporter, places = printing.reporter, find_runs(runs)
     if maps:
         reporter.info("warning: --maps is called --pattern here, as in all commands")
     patterns = [*(coding.pattern or []), *(maps or [])]
     of_all, own = given_naming(places, "--pattern", patterns, coding.scale, coding.invalid)
+
+    # How they are scored, and what with.
     check_tables(tables)
     if compare not in ("best", "all"):
         raise ConfigError(f"--compare: must be best or all (got {compare!r})")
-    settings = Settings(of_all.scale, (resolution or "").upper() or None, threshold, _size(resize), of_all.invalid)
+    settings = scoring.settings(of_all.scale, of_all.invalid)
     scored_by = None if protocol is None else load(protocol)(settings)
     truth = local(truth)
     found = scenes_with_truth(truth, scenes or ["*"], layout, scored_by, settings, reporter, places.values())
@@ -98,6 +92,8 @@ def evaluate(
         reporter=reporter,
     )
     report = evaluate_runs(runs, found, truth, output, choices)
+
+    # The results on the terminal.
     if printing.json:
         reporter.data(to_json(report.to_dict()))
     else:
@@ -107,13 +103,3 @@ def evaluate(
     if output is not None:
         print_place(report, output, html, reporter)
     return report.flags.exit_code(report.incomplete, fail_flagged)
-
-
-def _size(text: str | None) -> tuple[int, int] | None:
-    """Return ``640x480`` as (640, 480), and None for None."""
-    if text is None:
-        return None
-    found = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text.strip().lower())
-    if found is None:
-        raise ConfigError(f"--resize: expected WIDTHxHEIGHT, such as 256x144 (got {text!r})")
-    return int(found[1]), int(found[2])

@@ -31,6 +31,7 @@ from depthcli.problems import PROBLEMS
 from depthcli.show.table import aligned, to_csv, to_json
 
 if TYPE_CHECKING:
+    from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.evaluation.sweeps import Axes, Combination
     from depthcli.problems.problem import SceneJob
 
@@ -39,6 +40,8 @@ _TABLES = ("sweep.json", "sweep.csv")
 
 
 class _Trial(NamedTuple):
+    """A combination with its run."""
+
     values: Combination
     options: RunOptions
     job: SceneJob[Any]
@@ -60,57 +63,24 @@ def sweep(
     html_budget: HtmlBudgetOption = "50MB",
 ) -> int:
     """Run every combination, evaluate all runs, and print the ranked runs and the effect of every key."""
-    from depthcli.commands._run import run_job
-    from depthcli.commands._scores import print_place, viewers
-    from depthcli.evaluation.evaluate import Choices, evaluate_runs
-    from depthcli.evaluation.sweeps import combinations, compared, parse_axes, text_of
-    from depthcli.io.formats.files import write_text
-    from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
-    from depthcli.io.scenes.places import local
-    from depthcli.run.folder import FolderLock
+    from depthcli.evaluation.sweeps import combinations, parse_axes
 
-    source, axes = (
-        SceneOptions(input=input, layout=layout, scenes=scenes),
-        _with_keys(command, config, parse_axes(over)),
-    )
-    output, reporter, chosen = run.output, run.reporter, combinations(axes, random, seed)
-    runs, own_run = _runs_of(command, config, set or [], axes, chosen, source, run)
+    source = SceneOptions(input=input, layout=layout, scenes=scenes)
+    axes = _with_keys(command, config, parse_axes(over))
+    chosen = combinations(axes, random, seed)
+    trials, own_run = _trials_of(command, config, set or [], axes, chosen, source, run)
     if run.dry_run:
-        _show_plan(command, runs, run)
+        _show_plan(command, trials, run)
         return 0
-    for table in _TABLES:
-        if (output / table).exists() and not (output / _RUNS).is_dir():
-            raise ConfigError(f"{output / table}: is no sweep's; move it away, or choose another --output")
-    failed = False
-    with FolderLock(output, reporter.info) as lock:
-        lock.share()
-        for count, (name, one) in enumerate(runs.items(), 1):
-            reporter.info(f"run {count} of {len(runs)}: {name}")
-            failed |= run_job(one.job, one.scenes, one.options, source) != 0
-        others = lock.locks and not lock.last()
+    failed, others = _compute(trials, source, run)
     if others:
-        reporter.info("the process that ends last compares the runs")
+        run.reporter.info("the process that ends last compares the runs")
         return SOME_FAILED if failed else 0
-    truth = local(input)
-    all_scenes = discover_scenes(truth, ALL_KINDS, layout, scenes or ["*"])
-    if not any(scene.has_truth for scene in all_scenes):
-        reporter.info(f"{input}: no ground truth there, the runs are not compared")
+    report = _evaluated(trials, source, run, html, html_budget)
+    if report is None:
+        run.reporter.info(f"{input}: no ground truth there, the runs are not compared")
         return SOME_FAILED if failed else 0
-    folder, places = output / "evaluation", [one.options.output for one in runs.values()]
-    scored = [scene for scene in all_scenes if scene.problem or scene.has_truth]
-    choices = Choices(viewers=viewers(reporter, folder, html, html_budget), reporter=reporter)
-    report = evaluate_runs(places, scored, truth, folder, choices)
-    tried = {name: one.values for name, one in runs.items()}
-    results = [compared(section, axes, tried, own_run) for section in report.sections]
-    document = to_json({"over": axes, "results": results})
-    write_text(output / _TABLES[0], document)
-    write_text(output / _TABLES[1], to_csv([row for result in results for row in result["runs"]]))
-    if run.json:
-        reporter.data(document)
-    elif not run.quiet:
-        reporter.data("\n".join(map(text_of, report.sections, results)))
-    reporter.info(f"runs, evaluation, sweep.csv and sweep.json in {output}")
-    print_place(report, folder, html, reporter)
+    _compare(report, axes, trials, own_run, run, html)
     return SOME_FAILED if failed or report.incomplete else 0
 
 
@@ -126,7 +96,7 @@ def _with_keys(command: str, config: str, axes: Axes) -> dict[str, Sequence[str]
     return {symbols.get(key, key): values for key, values in axes.items()}
 
 
-def _runs_of(
+def _trials_of(
     command: str,
     config: str,
     settings: Sequence[str],
@@ -135,7 +105,7 @@ def _runs_of(
     source: SceneOptions,
     options: RunOptions,
 ) -> tuple[dict[str, _Trial], str]:
-    """Return name -> run, and the name of the run with the config's own values, or an empty text."""
+    """Return name -> trial, and the name of the one with the config's own values, or an empty text."""
     from depthcli.commands._run import prepared
     from depthcli.evaluation.sweeps import OWN_VALUES, folder_names, value_text
 
@@ -159,13 +129,13 @@ def _runs_of(
     return {OWN_VALUES: plain, **runs}, OWN_VALUES
 
 
-def _show_plan(command: str, runs: Mapping[str, _Trial], options: RunOptions) -> None:
+def _show_plan(command: str, trials: Mapping[str, _Trial], options: RunOptions) -> None:
     """Print the planned runs."""
     from depthcli.commands._run import DONE, plan_of
     from depthcli.run.runner import Plan
 
     rows = []
-    for name, run in runs.items():
+    for name, run in trials.items():
         plan = plan_of(Plan(run.job, run.scenes, run.options.output, run.options.execution))
         done = sum(row["status"] == DONE for row in plan["scenes"])
         rows.append({"run": name, "scenes": len(plan["scenes"]), "done": done, "refused": plan["refused"]})
@@ -173,3 +143,68 @@ def _show_plan(command: str, runs: Mapping[str, _Trial], options: RunOptions) ->
     lines += [(row["run"], row["refused"], str(row["scenes"]), str(row["done"])) for row in rows]
     text = f"{aligned(lines)}\n\nnothing was computed\n"
     options.reporter.data(to_json({"command": command, "runs": rows}) if options.json else text)
+
+
+def _compute(trials: Mapping[str, _Trial], source: SceneOptions, options: RunOptions) -> tuple[bool, bool]:
+    """Compute all runs; return whether one failed, and whether other processes still compute some."""
+    from depthcli.commands._run import run_job
+    from depthcli.run.folder import FolderLock
+
+    for table in _TABLES:
+        if (options.output / table).exists() and not (options.output / _RUNS).is_dir():
+            raise ConfigError(f"{options.output / table}: is no sweep's; move it away, or choose another --output")
+    failed = False
+    with FolderLock(options.output, options.reporter.info) as lock:
+        lock.share()
+        for count, (name, one) in enumerate(trials.items(), 1):
+            options.reporter.info(f"run {count} of {len(trials)}: {name}")
+            failed |= run_job(one.job, one.scenes, one.options, source) != 0
+        return failed, lock.locks and not lock.last()
+
+
+def _evaluated(
+    trials: Mapping[str, _Trial], source: SceneOptions, options: RunOptions, html: bool, html_budget: str
+) -> EvaluationReport | None:
+    """Return the evaluation of all runs side by side, or None without ground truth."""
+    from depthcli.commands._scores import viewers
+    from depthcli.evaluation.evaluate import Choices, evaluate_runs
+    from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
+    from depthcli.io.scenes.places import local
+    from depthcli.run.folder import EVALUATION
+
+    assert source.input is not None  # an argument of the command
+    truth, folder, reporter = local(source.input), options.output / EVALUATION, options.reporter
+    there = discover_scenes(truth, ALL_KINDS, source.layout, source.scenes or ["*"])
+    if not any(scene.has_truth for scene in there):
+        return None
+    scored = [scene for scene in there if scene.problem or scene.has_truth]
+    choices = Choices(viewers=viewers(reporter, folder, html, html_budget), reporter=reporter)
+    return evaluate_runs([one.options.output for one in trials.values()], scored, truth, folder, choices)
+
+
+def _compare(
+    report: EvaluationReport,
+    axes: Axes,
+    trials: Mapping[str, _Trial],
+    own_run: str,
+    options: RunOptions,
+    html: bool,
+) -> None:
+    """Write the ranked runs and the effect of every key, and print them."""
+    from depthcli.commands._scores import print_place
+    from depthcli.evaluation.sweeps import compared, text_of
+    from depthcli.io.formats.files import write_text
+    from depthcli.run.folder import EVALUATION
+
+    output, reporter = options.output, options.reporter
+    tried = {name: one.values for name, one in trials.items()}
+    results = [compared(section, axes, tried, own_run) for section in report.sections]
+    document = to_json({"over": axes, "results": results})
+    write_text(output / _TABLES[0], document)
+    write_text(output / _TABLES[1], to_csv([row for result in results for row in result["runs"]]))
+    if options.json:
+        reporter.data(document)
+    elif not options.quiet:
+        reporter.data("\n".join(map(text_of, report.sections, results)))
+    reporter.info(f"runs, evaluation, sweep.csv and sweep.json in {output}")
+    print_place(report, output / EVALUATION, html, reporter)

@@ -60,7 +60,7 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
 def _give(block: NDArray[np.uint8]) -> None:
     with _lock:
         _free.append(block)
-        while sum(b.size for b in _free) > _MAX_FREE_BYTES:
+        while kept() > _MAX_FREE_BYTES:
             _free.pop(0)
 
 

@@ -31,6 +31,30 @@ _OLD_NUMBER = re.compile(r"[-+]?(0[0-7_]+$|[\d_]+:)")  # octal and sexagesimal n
 class _Loader(yaml.SafeLoader):
     """Safe loader that reads ``1e-3`` as a number, as YAML 1.2 does, and dates as text."""
 
+    _n_nodes = 0
+
+    def plain(self, node: yaml.Node, places: dict[Location, str], location: Location = ()) -> Any:
+        """Return the node at ``location`` as plain data, and add the place of every value in it to ``places``."""
+        self._n_nodes += 1
+        if self._n_nodes > _MAX_NODES or len(location) > _MAX_DEPTH:
+            raise yaml.MarkedYAMLError(problem="too large, or nested too deeply", problem_mark=node.start_mark)
+        if node.tag not in _PLAIN_TAGS:
+            raise yaml.MarkedYAMLError(problem=f"unknown tag {node.tag}", problem_mark=node.start_mark)
+        if isinstance(node, yaml.SequenceNode):
+            items = []
+            for i, child in enumerate(node.value):
+                places[*location, i] = f"{self.name}:{child.start_mark.line + 1}"
+                items.append(self.plain(child, places, (*location, i)))
+            return items
+        if not isinstance(node, yaml.MappingNode):
+            return self.construct_object(node)
+        self.flatten_mapping(node)
+        values = {}
+        for key, value in node.value:
+            places[*location, key.value] = f"{self.name}:{key.start_mark.line + 1}"
+            values[key.value] = self.plain(value, places, (*location, key.value))
+        return values
+
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         node: yaml.MappingNode = super().compose_mapping_node(anchor)
         lines: dict[str, int] = {}
@@ -43,7 +67,18 @@ class _Loader(yaml.SafeLoader):
             lines[key.value] = key.start_mark.line + 1
         return node
 
+    def number(self, node: yaml.ScalarNode) -> int | float:
+        """Return the value of a number. Raise an error for forms that YAML 1.2 reads otherwise."""
+        is_whole = node.tag.endswith(":int")
+        value: int | float = self.construct_yaml_int(node) if is_whole else self.construct_yaml_float(node)
+        if _OLD_NUMBER.match(node.value):
+            problem = f"{node.value} is {value} in YAML; write {value}, or quote it if it is no number"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+        return value
 
+
+for _kind in ("int", "float"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", _Loader.number)
 _Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith((":timestamp", ":value"))]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
@@ -107,38 +142,12 @@ def parse_value(text: str, name: str, places: dict[Location, str] | None = None)
 
     ``file:line`` of every value is added to ``places``.
     """
-    nodes = 0
-
-    def build(node: yaml.Node, location: Location) -> Any:
-        nonlocal nodes
-        nodes += 1
-        if nodes > _MAX_NODES or len(location) > _MAX_DEPTH:
-            raise yaml.MarkedYAMLError(problem="too large, or nested too deeply", problem_mark=node.start_mark)
-        if node.tag not in _PLAIN_TAGS:
-            raise yaml.MarkedYAMLError(problem=f"unknown tag {node.tag}", problem_mark=node.start_mark)
-        if places is not None and location:
-            places.setdefault(location, f"{name}:{node.start_mark.line + 1}")
-        if isinstance(node, yaml.SequenceNode):
-            return [build(child, (*location, i)) for i, child in enumerate(node.value)]
-        if not isinstance(node, yaml.MappingNode):
-            if node.tag.endswith((":int", ":float")) and _OLD_NUMBER.match(node.value):
-                number = loader.construct_object(node)
-                problem = f"{node.value} is {number} in YAML; write {number}, or quote it if it is no number"
-                raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
-            return loader.construct_object(node)
-        loader.flatten_mapping(node)
-        values = {}
-        for key, value in node.value:
-            if places is not None:
-                places[*location, key.value] = f"{name}:{key.start_mark.line + 1}"
-            values[key.value] = build(value, (*location, key.value))
-        return values
-
     mark = None
     try:
         loader = _Loader(text)
+        loader.name = name
         node = loader.get_single_node()
-        return None if node is None else build(node, ())
+        return None if node is None else loader.plain(node, {} if places is None else places)
     except RecursionError:
         what = "nested too deeply"
     except yaml.MarkedYAMLError as error:

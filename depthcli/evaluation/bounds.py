@@ -31,9 +31,12 @@ _TOLERANCE = 10.0  # percentage points below the level from which on a map cover
 
 def promised(text: str) -> Bound | None:
     """Return level and limit of a run from the key ``bound`` of its config, or None if there is no such key."""
-    for model in (Bound, DepthBound, VolumeBound):
-        with contextlib.suppress(ConfigError, KeyError, ValidationError):
-            return model.model_validate(parse_config(text, "").data["bound"])
+    given = None
+    with contextlib.suppress(ConfigError):
+        given = parse_config(text, "").data.get("bound")
+    for model in (Bound, DepthBound, VolumeBound) if given is not None else ():
+        with contextlib.suppress(ValidationError):
+            return model.model_validate(given)
     return None
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.bound import Bound
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.core.plugins import plugins_of, versions_here
+from depthcli.core.plugins import Plugin, loaded, plugins_of, versions_here
 from depthcli.evaluation.bounds import judged, promised
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.curves import hidden_pixels
@@ -25,17 +25,16 @@ from depthcli.evaluation.map_files import MapNaming, find_runs, names_in_run, re
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load, missing_scores, picture
 from depthcli.evaluation.scores import MapResult
 from depthcli.io.formats.disparity import ScaleError, read_disparity, read_status
-from depthcli.io.formats.files import collected_warnings, short_path, warn, write_text
+from depthcli.io.formats.files import RUN_FILE, collected_warnings, short_path, warn, write_text
 from depthcli.io.formats.images import write_drawn
-from depthcli.io.formats.map_format import format_plugins
-from depthcli.io.scenes import RgbdScene, Scene, StereoScene, layout_plugins
+from depthcli.io.scenes import RgbdScene, Scene, StereoScene, plugins_of_scenes
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes, scenes_with_files
 from depthcli.io.scenes.places import origin
 from depthcli.io.scenes.rows import Folder
 from depthcli.run.console import Reporter
 from depthcli.run.flags import Condition, flag_rows, plain_name
-from depthcli.run.folder import saved_config, staging_folder
-from depthcli.run.records import read_report
+from depthcli.run.folder import staging_folder
+from depthcli.run.records import read_report, read_text
 from depthcli.show.table import Row, to_csv, to_json
 
 PAGE_FILE = "report.html"
@@ -103,6 +102,16 @@ def _scene_of_file(
         alone = RgbdScene(**common, color=truth, depth=truth, depth_true=truth, depth_scale=settings.scale)
         return alone.with_scale(meta.positive("depth_scale"))
     raise InputError(f"{truth}: {protocol.name} needs a folder of scenes as the ground truth")
+
+
+class _FoundMap(NamedTuple):
+    """One run's map as it was read, with the maps beside it."""
+
+    path: Path
+    estimate: Any
+    confidences: dict[str, NDArray[Any]]
+    bound: NDArray[Any] | None  # in the unit of the run's maps
+    status: NDArray[np.uint8] | None
 
 
 class ScoredMap(NamedTuple):
@@ -193,7 +202,7 @@ def evaluate_runs(
             scores = to_json(report.to_dict())
             write_text(folder / "scores.csv", to_csv(report.records()))
             write_text(folder / "scores.json", scores)
-            configs = {run: saved_config(place) for run, place in places.items()}
+            configs = {run: read_text(place / RUN_FILE) for run, place in places.items()}
             scoring.show(lambda viewer: viewer.write(report, scores, configs))
     for line in report.warnings(
         together=True, with_reports=choices.rows is None
@@ -238,7 +247,7 @@ class _Scoring:
     def __post_init__(self) -> None:
         for run, place in self.runs.items():
             self.reports[run] = read_report(place) if self.choices.rows is None else self.choices.rows
-            self.promises[run] = promised(saved_config(place if place.is_dir() else place.parent.parent))
+            self.promises[run] = promised(read_text((place if place.is_dir() else place.parent.parent) / RUN_FILE))
 
     def show(self, step: Callable[[Viewer], None]) -> None:
         """Let every viewer take a step, except viewers that could not be written before."""
@@ -272,8 +281,10 @@ class _Scoring:
             taken = any(name in protocol.takes for protocol in protocols.values())
             if value not in (None, False) and protocols and not taken:
                 reporter.info(f"--{name} makes no difference to {', '.join(protocols)}")
-        files = self.maps | {value for scene in scenes for value in vars(scene).values() if isinstance(value, Path)}
-        plugins = layout_plugins(scenes) | format_plugins(files) | plugins_of(map(type, protocols.values()))
+        plugins = set[Plugin]()
+        if loaded:
+            files = self.maps | {value for scene in scenes for value in vars(scene).values() if isinstance(value, Path)}
+            plugins = plugins_of(map(type, protocols.values())) | plugins_of_scenes(scenes, files)
         for name, scored in self.misfits.items():
             (scene, others), more = scored[0], f" and {len(scored) - 1} more" if len(scored) > 1 else ""
             how = "name the protocol with evaluate --protocol, in meta.json, or by --layout"
@@ -386,57 +397,84 @@ class _Scoring:
         return results
 
     def _result(self, start: MapResult, protocol: AnyProtocol, scene: Scene, truth: Any, names: list[str]) -> MapResult:
-        """Find, read, score and draw one run's map; if that fails, return the worst scores with the reason."""
-        place, rows = self.runs[start.run], self.reports[start.run]
-        options = self.naming[start.run]
-        files = options.files(protocol.files)
+        """Read, score and draw one run's map; if it cannot be read, return the worst scores with the reason."""
+        rows = self.reports[start.run]
         row: Row = next((rows[name] for name in names if name in rows), {})
         start = replace(start, run_warnings=tuple(row.get("warnings") or ()))
-        path = None
         try:
-            path = place if place.is_file() else files.find(place, names)
-            if path is None:
-                reason = f": the run failed there: {row['error']}" if row.get("error") else files.searched(names)
-                raise InputError(f"{place}: no map of scene {scene.name}{reason}")
-            self.maps.add(path)
-            estimate: Any = self._reader(protocol, options).read(path, scene, truth)
+            found = self._read(start.run, protocol, scene, truth, names, str(row.get("error") or ""))
         except DepthcliError as error:
-            self.unread.setdefault(start.run, []).extend([] if path is None else [str(error)])
             missing, dense = missing_scores(protocol, truth), missing_scores(protocol, truth, dense=True)
             return replace(start, scores=tuple(missing), dense=tuple(dense), error=str(error))
+        result, points, outside = self._scored(start, protocol, truth, found, row)
+        if self.output is not None:
+            if points:
+                write_text(self.output / short_path(f"points/{result.run}/{result.scene}.csv"), to_csv(points))
+            paint = partial(picture, protocol, found.estimate, truth)
+            write_drawn(self.output / result.picture, paint)
+            if outside is not None:
+                write_drawn(self.output / result.bound_picture, partial(paint, outside))
+        scored = ScoredMap(result, found.path, found.estimate, truth, found.confidences, found.bound)
+        self.show(lambda viewer: viewer.add_map(scored))
+        return result
+
+    def _read(
+        self, run: str, protocol: AnyProtocol, scene: Scene, truth: Any, names: list[str], failure: str
+    ) -> _FoundMap:
+        """Return one run's map with the maps beside it. Raise an error if there is no map, or it cannot be read.
+
+        ``failure`` is the error of the run itself in that scene, or empty.
+        """
+        place, naming = self.runs[run], self.naming[run]
+        files = naming.files(protocol.files)
+        path = place if place.is_file() else files.find(place, names)
+        if path is None:
+            reason = f": the run failed there: {failure}" if failure else files.searched(names)
+            raise InputError(f"{place}: no map of scene {scene.name}{reason}")
+        self.maps.add(path)
+        try:
+            estimate: Any = self._reader(protocol, naming).read(path, scene, truth)
+        except DepthcliError as error:
+            self.unread.setdefault(run, []).append(str(error))
+            raise
         confidences = {}
         for name, file in files.planes(path).items():
             if (plane := _extra(protocol.read_confidence, file, truth)) is not None:
                 confidences[name] = plane
         status = _extra(read_status, files.companion(path, "status.png"))
         bound = _extra(protocol.read_confidence, files.companion(path, "bound"), truth)
-        # A bound that ends with the search, of a registration, promises no limit; reach is rounded.
-        limit = None if bound is None else np.where(bound >= row.get("reach", math.inf) - 1e-3, np.inf, bound)
-        promise = self.promises[start.run]
-        curves, bounds, outside = judged(protocol, estimate, truth, confidences, limit, status, promise)
-        points, pooling_data = protocol.points(estimate, truth)
+        return _FoundMap(path, estimate, confidences, bound, status)
+
+    def _scored(
+        self, start: MapResult, protocol: AnyProtocol, truth: Any, found: _FoundMap, row: Row
+    ) -> tuple[MapResult, list[dict[str, float]], NDArray[np.bool_] | None]:
+        """Return a map's result, rows of points with known truth, and True where the truth is outside its bound.
+
+        ``row`` is the scene's row in the run's own report, or empty. Maps have no rows; without a bound, the last is
+        None.
+        """
+        place, limit = self.runs[start.run], found.bound
+        if limit is not None:
+            # A bound that ends with the search, of a registration, promises no limit; reach is rounded.
+            limit = np.where(limit >= row.get("reach", math.inf) - 1e-3, np.inf, limit)
+        curves, bounds, outside = judged(
+            protocol, found.estimate, truth, found.confidences, limit, found.status, self.promises[start.run]
+        )
+        points, pooling_data = protocol.points(found.estimate, truth)
         result = replace(
             start,
-            source=path.name if path == place else path.relative_to(place).as_posix(),
-            scores=tuple(protocol.scores(estimate, truth)),
-            dense=tuple(protocol.threshold_curve(estimate, truth)),
+            source=found.path.name if found.path == place else found.path.relative_to(place).as_posix(),
+            scores=tuple(protocol.scores(found.estimate, truth)),
+            dense=tuple(protocol.threshold_curve(found.estimate, truth)),
             curves=tuple(curves),
             bounds=tuple(bounds),
-            hidden=None if status is None else hidden_pixels(status, truth.regions),
+            hidden=None if found.status is None else hidden_pixels(found.status, truth.regions),
             seconds=math.fsum(row.get("seconds", {}).values()) or math.nan,
             size=truth.size,
             n_disparities=largest if isinstance(largest := row.get("max_disparity"), int) and largest > 0 else 0,
             pooling_data=pooling_data,
         )
-        if self.output is not None:
-            if points:
-                write_text(self.output / short_path(f"points/{result.run}/{result.scene}.csv"), to_csv(points))
-            write_drawn(self.output / result.picture, lambda: picture(protocol, estimate, truth))
-            if outside is not None:
-                write_drawn(self.output / result.bound_picture, lambda: picture(protocol, estimate, truth, outside))
-        scored = ScoredMap(result, path, estimate, truth, confidences, bound)
-        self.show(lambda viewer: viewer.add_map(scored))
-        return result
+        return result, points, outside
 
 
 def _extra(read: Callable[..., NDArray[Any]], file: Path | None, *more: Any) -> NDArray[Any] | None:

@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.plugins import loaded
 from depthcli.io.formats.files import shown
 from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
 from depthcli.io.scenes.places import local
@@ -43,7 +44,7 @@ class MapFiles:
     @property
     def endings(self) -> tuple[str, ...]:
         """All endings of a map: ``suffixes`` and, for maps of one channel, the endings of plug-ins' formats."""
-        return (*self.suffixes, *sorted(map_formats())) if ".pfm" in self.suffixes else self.suffixes
+        return (*self.suffixes, *sorted(map_formats())) if loaded and ".pfm" in self.suffixes else self.suffixes
 
     def candidates(self, folder: Path, scene: str) -> Iterator[Path]:
         """Yield the paths that the map of a scene may have, in order of preference; they need not exist."""

@@ -24,6 +24,7 @@ from depthcli.core.method import RootConfig
 from depthcli.core.result import DepthResult
 from depthcli.io.formats.depth import MILLIMETERS, beyond_png
 from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.formats.files import made
 from depthcli.io.formats.networks import network_path, read_errors, read_network, read_numbers
 from depthcli.io.rgbd_frames import check_center
 from depthcli.io.scenes.frames import FRAMES
@@ -39,7 +40,6 @@ from depthcli.problems.results import (
     check_limits,
     cloud_pixels,
     empty_cloud,
-    made,
     mask_parts,
     write_depth,
     write_details,

@@ -62,7 +62,9 @@ class Fuse(Pairs[FuseConfig]):
                 raise ConfigError(f"volumes: the config needs {', '.join(sorted(self.config.volumes))}")
             return self.config.with_volumes(lambda: self.volumes) if self.volumes else self.config
         files = self._volumes(scene)
-        if files and self.ends(scene)[0] != 0:
+        if not files:
+            return self.config
+        if self.ends(scene)[0] != 0:
             raise InputError(f"{scene.folder}: volumes made elsewhere begin at disparity 0; leave --min-disparity out")
         return self.config.with_volumes(lambda: {name: map_npy(file) for name, file in files.items()})
 

@@ -33,7 +33,7 @@ from depthcli.evaluation.map_files import (
     recognized,
 )
 from depthcli.io.formats.disparity import check_sign, read_foreign_map, read_plane, read_status, scale_of
-from depthcli.io.formats.files import collected_warnings, is_of_a_run
+from depthcli.io.formats.files import collected_warnings, is_of_a_run, made
 from depthcli.io.formats.images import png_bytes, read_image, write_drawn
 from depthcli.io.formats.networks import network_path, read_errors, read_network
 from depthcli.io.scenes import GivenMap, MapsScene, Scene, StereoScene, check_same_size
@@ -45,7 +45,7 @@ from depthcli.methods.stereo.search_range import SearchRange, matched_range
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.problems.inputs import as_image, as_map, as_pair
 from depthcli.problems.problem import MAP_FILES, Inputs, Problem, ResultT, Shown
-from depthcli.problems.results import Disparity, made, write_details, write_disparity
+from depthcli.problems.results import Disparity, write_details, write_disparity
 from depthcli.run.console import Reporter
 from depthcli.run.records import read_report
 from depthcli.run.resources import available_memory, check_memory

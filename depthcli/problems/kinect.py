@@ -8,13 +8,13 @@ import typing
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias, cast
+from typing import Any, ClassVar, NamedTuple, Self, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.camera import Intrinsics, Place
 from depthcli.core.cameras.color_and_depth import registered
 from depthcli.core.cameras.kinect import sensor_fb
 from depthcli.core.context import Clock, Context
@@ -56,6 +56,33 @@ class RefineKinectConfig(DepthConfig):
         return max(self.pipeline.peak_bytes(shape), BYTES_PER_PIXEL * shape[0] * shape[1])
 
 
+class _Sensor(NamedTuple):
+    """The depth camera of frames in arrays."""
+
+    fb: float | None  # focal length x baseline, pixel meters; None: by the color camera, or a Kinect's
+    camera: Intrinsics | None  # None: depth is registered to color
+    place: Place | None  # its pose in the color camera's frame; None: the same
+
+    @classmethod
+    def of(
+        cls,
+        fb: float | None,
+        intrinsics: Sequence[float] | None,
+        to_color: tuple[ArrayLike, ArrayLike] | None,
+    ) -> Self:
+        """Return the camera for the arguments of :func:`refine_depth`. Raise InputError for impossible numbers."""
+        camera = place = None
+        if intrinsics is not None:
+            camera = Intrinsics(*numbers(list(intrinsics), "depth_intrinsics", (4,)).tolist())
+        if to_color is not None:
+            if len(to_color) != 2:
+                raise InputError(f"depth_to_color: expected rotation and translation (got {len(to_color)} parts)")
+            turn, shift = (np.ravel(np.asarray(part)).tolist() for part in to_color)
+            rotation = numbers(turn, "depth_to_color: rotation", (9,)).tolist()
+            place = tuple(rotation), tuple(numbers(shift, "depth_to_color: translation", (3,)).tolist())
+        return cls(fb, camera, place)
+
+
 @dataclass(frozen=True)
 class RefineKinect(DepthProblem[FrameOrSequence, RefineKinectConfig]):
     """Refine single frames, or the frames of sequences in order."""
@@ -71,26 +98,67 @@ class RefineKinect(DepthProblem[FrameOrSequence, RefineKinectConfig]):
 
     step: Callable[[RgbdFrame], DepthResult] | None = None  # refines the next frame of a sequence
 
-    def truth_scenes(self, scenes: Sequence[FrameOrSequence]) -> Sequence[Scene]:
-        """Return all frames, including the frames of sequences."""
-        frames = [frame for scene in scenes for frame in _frames(scene)]
-        return sorted((frame.with_scale(self.config.depth_scale) for frame in frames), key=lambda frame: frame.name)
+    def load(self, scene: FrameOrSequence, context: Context) -> FrameInputs:
+        """Return a scene's frame with depth registered to color."""
+        assert isinstance(scene, RgbdScene)
+        context.clock.start("load")
+        config = self.config
+        if not scene.raw:
+            scene = replace(scene, intrinsics=config.intrinsics or scene.intrinsics).with_scale(config.depth_scale)
+        frame, way = load_frame(scene), ""
+        if frame.interpolated or scene.depth_intrinsics is not None:
+            way = "by both cameras" if scene.depth_intrinsics else "assumed"
+        warnings = [] if scene.raw else _scale_warnings(scene, frame)
+        coding = scene.depth_scale or MILLIMETERS, 3 if scene.rotated else 0
+        return FrameInputs(frame, *coding, way, warnings=warnings)
 
-    def settings(self, scene: FrameOrSequence) -> dict[str, str]:
-        """Return the scale of the depth, and the cameras and poses from the layout."""
-        frames = _frames(scene)
-        first = frames[0]
-        scale = self.config.depth_scale or first.depth_scale or MILLIMETERS
-        found = {"depth_scale": str(scale), "camera": f"{first.intrinsics} {first.fb} {first.rotated} {first.raw}"}
-        if first.depth_intrinsics is not None:
-            found["depth_camera"] = f"{first.depth_intrinsics} {first.depth_to_color}"
-        if isinstance(scene, SequenceScene) and any(frame.pose is not None for frame in frames):
-            found["poses"] = hashlib.sha256(repr([frame.pose for frame in frames]).encode()).hexdigest()[:16]
-        return found
+    def take(
+        self,
+        color: Image | None,
+        depth: Image,
+        sensor: _Sensor,
+        where: str = "",
+        size: tuple[int, ...] | None = None,
+    ) -> FrameInputs:
+        """Return the frame of two arrays, with depth registered to color; messages begin with ``where``.
 
-    def memory(self, scene: FrameOrSequence) -> int:
-        """Return an estimate from the size of the frame, or of a sequence's first frame."""
-        return self.config.peak_bytes(frame_size(_frames(scene)[0]))
+        Raise InputError if the arrays do not fit together, or the frame has not the ``size`` of the sequence's first.
+        """
+        config, camera, name = self.config, self.config.camera, f"{where}depth"
+        with collected_warnings() as lines:
+            measured = as_depth(depth, name, config.depth_scale)
+            image = None if color is None else as_color8(color, f"{where}color")
+            height, width = measured.shape if image is None else image.shape[:2]
+            check_center(f"{where}intrinsics", camera, (height, width))
+            check_center(f"{where}depth_intrinsics", sensor.camera, measured.shape)
+        if size not in (None, (height, width)):
+            raise InputError(f"{where}{width} x {height}, but frame 0 is {size[1]} x {size[0]}")
+        if image is None:
+            camera = camera or sensor.camera
+            frame = RgbdFrame.without_color(measured, sensor.fb or sensor_fb(camera), camera)
+        else:
+            with naming(name):
+                found = registered(measured, (height, width), camera, sensor.camera, sensor.place)
+            lines += [f"{name}: {found.note}"] if found.note else []
+            frame = RgbdFrame(image, found.depth, sensor.fb or sensor_fb(camera), camera, found.interpolated)
+        scale = config.depth_scale or MILLIMETERS
+        if np.asarray(depth).dtype.kind != "f" and (text := sensor_warning(name, frame.depth, scale)):
+            lines.append(text)
+        return FrameInputs(frame, scale, warnings=lines)
+
+    def solve(self, inputs: FrameInputs, context: Context) -> RefinedDepth:
+        """Refine the frame and select the pixels of its cloud. Raise InputError if there is not enough memory."""
+        config, frame = self.config, inputs.frame
+        assert isinstance(frame, RgbdFrame)
+        height, width = frame.shape
+        check_memory(config.peak_bytes(frame.shape), context.memory, f"{width} x {height} pixels")
+        return self.refined(self.step or config.pipeline, frame, inputs, context)
+
+    def shares(self, result: RefinedDepth) -> Row:
+        """Return the shares of pixels that were kept, filled or corrected, and of each reason."""
+        bits = [bit for bit in DEPTH_STATUS_HELP if bit not in (DepthStatus.KEPT, DepthStatus.SAMPLED)]
+        row = {name: share(getattr(result, name)) for name in ("kept", "filled", "corrected")}
+        return row | {str(bit.name).lower(): share((result.status & bit) != 0) for bit in bits}
 
     def units(self, scenes: Sequence[Any], reporter: Reporter) -> Sequence[FrameOrSequence]:
         """Return the frames, or their sequences if the pipeline carries state from frame to frame."""
@@ -126,37 +194,26 @@ class RefineKinect(DepthProblem[FrameOrSequence, RefineKinectConfig]):
         warnings = [line for each in outcomes for line in each.warnings]
         return Outcome(facts, seconds, [*problems, *dict.fromkeys(warnings)])
 
-    def load(self, scene: FrameOrSequence, context: Context) -> FrameInputs:
-        """Return a scene's frame with depth registered to color."""
-        assert isinstance(scene, RgbdScene)
-        context.clock.start("load")
-        config = self.config
-        if not scene.raw:
-            scene = replace(scene, intrinsics=config.intrinsics or scene.intrinsics).with_scale(config.depth_scale)
-        frame, way = load_frame(scene), ""
-        if frame.interpolated or scene.depth_intrinsics is not None:
-            way = "by both cameras" if scene.depth_intrinsics else "assumed"
-        warnings = [] if scene.raw else _scale_warnings(scene, frame)
-        coding = scene.depth_scale or MILLIMETERS, 3 if scene.rotated else 0
-        return FrameInputs(frame, *coding, way, warnings=warnings)
+    def settings(self, scene: FrameOrSequence) -> dict[str, str]:
+        """Return the scale of the depth, and the cameras and poses from the layout."""
+        frames = _frames(scene)
+        first = frames[0]
+        scale = self.config.depth_scale or first.depth_scale or MILLIMETERS
+        found = {"depth_scale": str(scale), "camera": f"{first.intrinsics} {first.fb} {first.rotated} {first.raw}"}
+        if first.depth_intrinsics is not None:
+            found["depth_camera"] = f"{first.depth_intrinsics} {first.depth_to_color}"
+        if isinstance(scene, SequenceScene) and any(frame.pose is not None for frame in frames):
+            found["poses"] = hashlib.sha256(repr([frame.pose for frame in frames]).encode()).hexdigest()[:16]
+        return found
 
-    def solve(self, inputs: FrameInputs, context: Context) -> RefinedDepth:
-        """Refine the frame and select the pixels of its cloud. Raise InputError if there is not enough memory."""
-        config, frame = self.config, inputs.frame
-        assert isinstance(frame, RgbdFrame)
-        height, width = frame.shape
-        check_memory(config.peak_bytes(frame.shape), context.memory, f"{width} x {height} pixels")
-        return self.refined(self.step or config.pipeline, frame, inputs, context)
+    def memory(self, scene: FrameOrSequence) -> int:
+        """Return an estimate from the size of the frame, or of a sequence's first frame."""
+        return self.config.peak_bytes(frame_size(_frames(scene)[0]))
 
-    def shares(self, result: RefinedDepth) -> Row:
-        """Return the shares of pixels that were kept, filled or corrected, and of each reason."""
-        bits = [bit for bit in DEPTH_STATUS_HELP if bit not in (DepthStatus.KEPT, DepthStatus.SAMPLED)]
-        row = {name: share(getattr(result, name)) for name in ("kept", "filled", "corrected")}
-        return row | {str(bit.name).lower(): share((result.status & bit) != 0) for bit in bits}
-
-
-def _frames(scene: FrameOrSequence) -> Sequence[RgbdScene]:
-    return scene.frames if isinstance(scene, SequenceScene) else (scene,)
+    def truth_scenes(self, scenes: Sequence[FrameOrSequence]) -> Sequence[Scene]:
+        """Return all frames, including the frames of sequences."""
+        frames = [frame for scene in scenes for frame in _frames(scene)]
+        return sorted((frame.with_scale(self.config.depth_scale) for frame in frames), key=lambda frame: frame.name)
 
 
 def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
@@ -170,6 +227,10 @@ def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
         return [f"{scene.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
     text = sensor_warning(scene.depth, frame.depth, scene.depth_scale or MILLIMETERS)
     return [text] if text else []
+
+
+def _frames(scene: FrameOrSequence) -> Sequence[RgbdScene]:
+    return scene.frames if isinstance(scene, SequenceScene) else (scene,)
 
 
 Preset: TypeAlias = str | Path | RefineKinectConfig
@@ -225,16 +286,7 @@ def refine_depth(
     (False, 40)
     """
     config = load_config(RefineKinectConfig, preset, overrides, **fields)
-    depth_camera = place = None
-    if depth_intrinsics is not None:
-        depth_camera = Intrinsics(*numbers(list(depth_intrinsics), "depth_intrinsics", (4,)).tolist())
-    if depth_to_color is not None:
-        if len(depth_to_color) != 2:
-            raise InputError(f"depth_to_color: expected rotation and translation (got {len(depth_to_color)} parts)")
-        turn, shift = (np.ravel(np.asarray(part)).tolist() for part in depth_to_color)
-        rotation = numbers(turn, "depth_to_color: rotation", (9,)).tolist()
-        place = tuple(rotation), tuple(numbers(shift, "depth_to_color: translation", (3,)).tolist())
-    scale = config.depth_scale or MILLIMETERS
+    sensor = _Sensor.of(fb, depth_intrinsics, depth_to_color)
     single = not isinstance(color, list | tuple) and not isinstance(depth, list | tuple)
     colors, depths = ([color], [depth]) if single else (color, depth)
     if colors is None:
@@ -243,28 +295,9 @@ def refine_depth(
         raise InputError("color, depth: give two images, or two lists of as many")
     problem = RefineKinect(config, frame_by_frame(config.pipeline))
     results: list[RefinedDepth] = []
-    for index, (one_color, one_depth) in enumerate(zip(colors, depths, strict=True)):
-        where = "" if single else f"frame {index}: "
-        with collected_warnings() as lines:
-            measured = as_depth(one_depth, f"{where}depth", config.depth_scale)
-            image = None if one_color is None else as_color8(one_color, f"{where}color")
-            height, width = measured.shape if image is None else image.shape[:2]
-            camera = config.camera
-            check_center(f"{where}intrinsics", camera, (height, width))
-            check_center(f"{where}depth_intrinsics", depth_camera, measured.shape)
-        if results and (height, width) != results[0].values.shape:
-            first_height, first_width = results[0].values.shape
-            raise InputError(f"frame {index}: {width} x {height}, but frame 0 is {first_width} x {first_height}")
-        if image is None:
-            camera = camera or depth_camera
-            frame = RgbdFrame.without_color(measured, fb or sensor_fb(camera), camera)
-        else:
-            with naming(f"{where}depth"):
-                found = registered(measured, (height, width), camera, depth_camera, place)
-            lines += [f"{where}depth: {found.note}"] if found.note else []
-            frame = RgbdFrame(image, found.depth, fb or sensor_fb(camera), camera, found.interpolated)
-        if np.asarray(one_depth).dtype.kind != "f" and (text := sensor_warning(f"{where}depth", frame.depth, scale)):
-            lines.append(text)
-        result = problem.solve(FrameInputs(frame, scale), Context(available_memory()))
-        results.append(replace(result, warnings=(*lines, *result.warnings)))
+    for index, images in enumerate(zip(colors, depths, strict=True)):
+        where, size = "" if single else f"frame {index}: ", results[0].values.shape if results else None
+        inputs = problem.take(*images, sensor, where, size)
+        result = problem.solve(inputs, Context(available_memory()))
+        results.append(replace(result, warnings=(*inputs.warnings, *result.warnings)))
     return results[0] if single else results

@@ -24,7 +24,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.maps import VolumeStatus
 from depthcli.core.method import RootConfig
 from depthcli.core.volumes import Grid
-from depthcli.io.formats.files import write_text
+from depthcli.io.formats.files import made, write_text
 from depthcli.io.formats.images import png_bytes, write_drawn
 from depthcli.io.formats.networks import read_errors
 from depthcli.io.formats.volumes import simple_itk, write_volume, written_suffix
@@ -44,7 +44,6 @@ from depthcli.methods.registration.pipeline import Pipeline, RegistrationResult,
 from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from depthcli.problems.inputs import Overrides, as_volume, load_config
 from depthcli.problems.problem import Inputs, Problem, Shown
-from depthcli.problems.results import made
 from depthcli.run.resources import available_memory, check_memory
 from depthcli.show.table import Column, Row, number, percent, to_csv
 from depthcli.show.volumes import draw_volumes
@@ -185,6 +184,21 @@ class RegistrationConfidence:
                     row["bound"] = f"> {round(self._reach, 4):g}"
             write_text(files / "points.csv", to_csv(rows))
 
+    def _preview(self) -> NDArray[np.uint8]:
+        result, pair = self.details, self.loaded.pair
+        volumes = {"fixed": pair.fixed, "moving, registered": pair.warped}
+        errors = {"expected error": result.expected_error}
+        if "bound" in self.bounds:
+            errors["bound of the error"] = self.bounds["bound"]
+        maps = {title: partial(at_voxels, values, result.start, result.step) for title, values in errors.items()}
+        inside = body if pair.mask is None else pair.mask
+        at = None
+        if self.slice_at is not None:  # convert to voxels of the loaded volumes
+            voxel, blocks = self.grid.to_index(np.array([self.slice_at]))[0], np.array(self.loaded.blocks)
+            at = np.rint((voxel - (blocks - 1) / 2) / blocks).astype(int).tolist()
+        light = self.figure == "light"
+        return draw_volumes(volumes, self.grid, self.loaded.blocks, maps, inside, self.neurological, light, at)
+
     @property
     def _maps(self) -> dict[str, NDArray[np.float32]]:
         """Name -> map on the method's own grid."""
@@ -212,29 +226,14 @@ class RegistrationConfidence:
             return np.asarray(np.stack(values, axis=-1) @ self.grid.axes.T, np.float32)
         return self._opened(*values) if name == "bound" else values[0]
 
-    @property
-    def _reach(self) -> float:
-        return self.details.figures.get("reach", math.inf)
-
     def _opened(self, bound: NDArray[np.float32], expected: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return bounds of at least the expected error, +inf where they are open."""
         bound = np.maximum(bound, expected)
         return np.where(bound >= bound.dtype.type(self._reach), np.float32(np.inf), bound)
 
-    def _preview(self) -> NDArray[np.uint8]:
-        result, pair = self.details, self.loaded.pair
-        volumes = {"fixed": pair.fixed, "moving, registered": pair.warped}
-        errors = {"expected error": result.expected_error}
-        if "bound" in self.bounds:
-            errors["bound of the error"] = self.bounds["bound"]
-        maps = {title: partial(at_voxels, values, result.start, result.step) for title, values in errors.items()}
-        inside = body if pair.mask is None else pair.mask
-        at = None
-        if self.slice_at is not None:  # convert to voxels of the loaded volumes
-            voxel, blocks = self.grid.to_index(np.array([self.slice_at]))[0], np.array(self.loaded.blocks)
-            at = np.rint((voxel - (blocks - 1) / 2) / blocks).astype(int).tolist()
-        light = self.figure == "light"
-        return draw_volumes(volumes, self.grid, self.loaded.blocks, maps, inside, self.neurological, light, at)
+    @property
+    def _reach(self) -> float:
+        return self.details.figures.get("reach", math.inf)
 
     def __repr__(self) -> str:
         error, size = self.details.figures["mean_error"], " x ".join(map(str, self.grid.size))
@@ -243,6 +242,10 @@ class RegistrationConfidence:
 
     def _repr_png_(self) -> bytes:
         return png_bytes(self._preview())
+
+
+def _status_of(bound: NDArray[np.float32]) -> NDArray[np.uint8]:
+    return np.where(np.isposinf(bound), np.uint8(VolumeStatus.OPEN_BOUND), np.uint8(0))
 
 
 def _size(row: Row) -> str:
@@ -308,14 +311,6 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
 
     config: RegisterConfidenceConfig
 
-    def memory(self, scene: VolumePairScene) -> int:
-        """Return an estimate from the header of the fixed volume."""
-        return self.config.peak_bytes(*loaded_size(scene, self.config.pipeline.voxel_limit))
-
-    def settings(self, scene: VolumePairScene) -> dict[str, str]:
-        """Return the names of the labels of label maps."""
-        return {"labels": f"{scene.labels}"} if scene.labels else {}
-
     def load(self, scene: VolumePairScene, context: Context) -> VolumePair:
         """Return both volumes and the landmarks, with a warning if the landmarks cannot be used."""
         context.clock.start("load")
@@ -362,10 +357,6 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
             row |= _region_figures(result.details, inputs.loaded, inputs.scene)
         return row
 
-    def is_lower_bound(self, row: Row) -> bool:
-        """Return whether the errors exceed the search range."""
-        return _beyond_search(row)
-
     def problems(self, rows: Sequence[Row]) -> list[str]:
         """Return a line for each region whose mask could not be used."""
         cells = ((row, value) for row in rows for key, value in row.items() if key.startswith("region_error_"))
@@ -385,6 +376,103 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
                 what = f"mask_{name} has one label in {alone[0]}{others}"
                 lines.append(f"{what}: the region {name} there, not {name}_1; name its labels in meta.json")
         return lines
+
+    def is_lower_bound(self, row: Row) -> bool:
+        """Return whether the errors exceed the search range."""
+        return _beyond_search(row)
+
+    def settings(self, scene: VolumePairScene) -> dict[str, str]:
+        """Return the names of the labels of label maps."""
+        return {"labels": f"{scene.labels}"} if scene.labels else {}
+
+    def memory(self, scene: VolumePairScene) -> int:
+        """Return an estimate from the header of the fixed volume."""
+        return self.config.peak_bytes(*loaded_size(scene, self.config.pipeline.voxel_limit))
+
+
+def bounds_of(
+    score: NDArray[np.float32], expected: NDArray[np.float32], iso: float, table: ErrorTable, promise: VolumeBound
+) -> dict[str, NDArray[np.float32]]:
+    """Return bound, mm, and probability for the score of a result, from a table of errors in voxels.
+
+    Bounds are at least the expected error.
+    """
+    bound = np.maximum(table.bound(score, promise.level) * np.float32(iso), expected)
+    return {"bound": bound, "probability": table.probability(score, promise.within / iso)}
+
+
+def inside_figures(
+    result: RegistrationResult, loaded: LoadedPair, bound: NDArray[np.float32] | None = None
+) -> dict[str, float]:
+    """Return figures of the expected error in the mask, or in the body without a mask; empty if there are no voxels.
+
+    They are ``inside_mean``, ``inside_95`` (quantile) and ``inside_max``, mm; ``above_3mm``, the volume of larger
+    errors, mL; and ``above_x``, ``above_y`` and ``above_z``, the center of their largest connected region, mm, LPS, if
+    there is one. With a bound, there are ``inside_bound``, its median, mm, and ``at_reach``, the share of voxels where
+    it is open.
+    """
+    pair, grid = loaded.pair, loaded.grid
+    inside = pair.mask
+    if inside is None:
+        order, flipped = grid.anatomical_axes()
+        turned = np.flip(body_of_volume(grid.turned(pair.fixed)), flipped)
+        inside = turned.transpose(np.argsort(order))
+    error = at_voxels(result.expected_error, result.start, result.step, pair.shape)
+    errors = error[inside]
+    if not errors.size:
+        return {}
+    wrong = inside & (error > _WRONG_MM)
+    figures = {"inside_mean": float(errors.mean(dtype=np.float64)), "inside_95": float(np.quantile(errors, 0.95))}
+    figures["inside_max"] = float(errors.max())
+    figures["above_3mm"] = int(np.count_nonzero(wrong)) * math.prod(pair.spacing) / 1000
+    if wrong.any():
+        labels, _ = ndimage.label(wrong)
+        largest = int(np.bincount(labels[wrong]).argmax())
+        center = np.array([ndimage.center_of_mass(labels == largest)])
+        first, blocks = (np.array(values) for values in loaded.on_grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
+        position = grid.to_point(first + blocks * center)[0]
+        figures |= dict(zip(("above_x", "above_y", "above_z"), map(float, position), strict=True))
+    if bound is not None:
+        within = at_voxels(bound, result.start, result.step, pair.shape)[inside]
+        reach = bound.dtype.type(result.figures["reach"])
+        figures["inside_bound"] = float(np.median(np.minimum(within, reach)))
+        figures["at_reach"] = float(np.mean(within >= reach))
+    return {name: round(value, 4) for name, value in figures.items()}
+
+
+def _region_figures(result: RegistrationResult, loaded: LoadedPair, scene: VolumePairScene) -> dict[str, float | str]:
+    """Return figures of the expected error in a pair's regions, such as organs.
+
+    They are ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm, and ``region_volume_NAME``, mL. Regions without
+    voxels have only a volume. ``region_error_NAME`` is the reason if a mask cannot be used; the other masks are used.
+    """
+    figures: dict[str, float | str] = {}
+    error = at_voxels(result.expected_error, result.start, result.step, loaded.pair.shape)
+    voxel = math.prod(loaded.grid.spacing) / 1000
+    for file, _ in scene.regions:
+        try:
+            for name, mask in region_masks(scene, file, loaded.grid):
+                if f"region_volume_{name}" in figures:
+                    twice = f"{scene.folder}: two regions are called {name}: give one of them another name"
+                    figures.setdefault(f"region_error_{file}", twice)
+                    continue
+                chosen = mask
+                if max(loaded.blocks) > 1:  # blocks at least half inside the mask; for a small mask, its fullest blocks
+                    shares = block_means(mask, loaded.blocks)
+                    chosen = (shares > 0) & (shares >= min(0.5, float(shares.max())))
+                errors = error[chosen]
+                figures[f"region_volume_{name}"] = round(int(np.count_nonzero(mask)) * voxel, 4)
+                if errors.size:
+                    figures[f"region_mean_{name}"] = round(float(errors.mean(dtype=np.float64)), 4)
+                    figures[f"region_95_{name}"] = round(float(np.quantile(errors, 0.95)), 4)
+        except InputError as problem:
+            figures[f"region_error_{file}"] = str(problem)
+    return figures
+
+
+def _beyond_search(figures: Mapping[str, Any]) -> bool:
+    """Return whether so many best matches are on the border of the search that its errors are lower bounds."""
+    return float(figures.get("border", 0.0)) > _MAX_BORDER_SHARE
 
 
 def registration_confidence(
@@ -473,92 +561,3 @@ def _volume(
     at = (float(first[0]), float(first[1]), float(first[2]))
     depth, height, width = values.shape
     return Grid((width, height, depth), (x, y, z), at, tuple(map(float, axes.ravel()))), values
-
-
-def _status_of(bound: NDArray[np.float32]) -> NDArray[np.uint8]:
-    return np.where(np.isposinf(bound), np.uint8(VolumeStatus.OPEN_BOUND), np.uint8(0))
-
-
-def bounds_of(
-    score: NDArray[np.float32], expected: NDArray[np.float32], iso: float, table: ErrorTable, promise: VolumeBound
-) -> dict[str, NDArray[np.float32]]:
-    """Return bound, mm, and probability for the score of a result, from a table of errors in voxels.
-
-    Bounds are at least the expected error.
-    """
-    bound = np.maximum(table.bound(score, promise.level) * np.float32(iso), expected)
-    return {"bound": bound, "probability": table.probability(score, promise.within / iso)}
-
-
-def _beyond_search(figures: Mapping[str, Any]) -> bool:
-    """Return whether so many best matches are on the border of the search that its errors are lower bounds."""
-    return float(figures.get("border", 0.0)) > _MAX_BORDER_SHARE
-
-
-def inside_figures(
-    result: RegistrationResult, loaded: LoadedPair, bound: NDArray[np.float32] | None = None
-) -> dict[str, float]:
-    """Return figures of the expected error in the mask, or in the body without a mask; empty if there are no voxels.
-
-    They are ``inside_mean``, ``inside_95`` (quantile) and ``inside_max``, mm; ``above_3mm``, the volume of larger
-    errors, mL; and ``above_x``, ``above_y`` and ``above_z``, the center of their largest connected region, mm, LPS, if
-    there is one. With a bound, there are ``inside_bound``, its median, mm, and ``at_reach``, the share of voxels where
-    it is open.
-    """
-    pair, grid = loaded.pair, loaded.grid
-    inside = pair.mask
-    if inside is None:
-        order, flipped = grid.anatomical_axes()
-        turned = np.flip(body_of_volume(grid.turned(pair.fixed)), flipped)
-        inside = turned.transpose(np.argsort(order))
-    error = at_voxels(result.expected_error, result.start, result.step, pair.shape)
-    errors = error[inside]
-    if not errors.size:
-        return {}
-    wrong = inside & (error > _WRONG_MM)
-    figures = {"inside_mean": float(errors.mean(dtype=np.float64)), "inside_95": float(np.quantile(errors, 0.95))}
-    figures["inside_max"] = float(errors.max())
-    figures["above_3mm"] = int(np.count_nonzero(wrong)) * math.prod(pair.spacing) / 1000
-    if wrong.any():
-        labels, _ = ndimage.label(wrong)
-        largest = int(np.bincount(labels[wrong]).argmax())
-        center = np.array([ndimage.center_of_mass(labels == largest)])
-        first, blocks = (np.array(values) for values in loaded.on_grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
-        position = grid.to_point(first + blocks * center)[0]
-        figures |= dict(zip(("above_x", "above_y", "above_z"), map(float, position), strict=True))
-    if bound is not None:
-        within = at_voxels(bound, result.start, result.step, pair.shape)[inside]
-        reach = bound.dtype.type(result.figures["reach"])
-        figures["inside_bound"] = float(np.median(np.minimum(within, reach)))
-        figures["at_reach"] = float(np.mean(within >= reach))
-    return {name: round(value, 4) for name, value in figures.items()}
-
-
-def _region_figures(result: RegistrationResult, loaded: LoadedPair, scene: VolumePairScene) -> dict[str, float | str]:
-    """Return figures of the expected error in a pair's regions, such as organs.
-
-    They are ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm, and ``region_volume_NAME``, mL. Regions without
-    voxels have only a volume. ``region_error_NAME`` is the reason if a mask cannot be used; the other masks are used.
-    """
-    figures: dict[str, float | str] = {}
-    error = at_voxels(result.expected_error, result.start, result.step, loaded.pair.shape)
-    voxel = math.prod(loaded.grid.spacing) / 1000
-    for file, _ in scene.regions:
-        try:
-            for name, mask in region_masks(scene, file, loaded.grid):
-                if f"region_volume_{name}" in figures:
-                    twice = f"{scene.folder}: two regions are called {name}: give one of them another name"
-                    figures.setdefault(f"region_error_{file}", twice)
-                    continue
-                chosen = mask
-                if max(loaded.blocks) > 1:  # blocks at least half inside the mask; for a small mask, its fullest blocks
-                    shares = block_means(mask, loaded.blocks)
-                    chosen = (shares > 0) & (shares >= min(0.5, float(shares.max())))
-                errors = error[chosen]
-                figures[f"region_volume_{name}"] = round(int(np.count_nonzero(mask)) * voxel, 4)
-                if errors.size:
-                    figures[f"region_mean_{name}"] = round(float(errors.mean(dtype=np.float64)), 4)
-                    figures[f"region_95_{name}"] = round(float(np.quantile(errors, 0.95)), 4)
-        except InputError as problem:
-            figures[f"region_error_{file}"] = str(problem)
-    return figures

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import PairGeometry
-from depthcli.core.errors import ConfigError, InputError, OutputError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import Image, color8
 from depthcli.core.maps import DepthMap, DisparityMap, MatchedMap
 from depthcli.core.result import Result
 from depthcli.io.formats.calibrations import Reading, read_geometry
 from depthcli.io.formats.depth import MILLIMETERS, write_depth_png, write_points
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm, write_status
-from depthcli.io.formats.files import warn, write_text
+from depthcli.io.formats.files import made, warn, write_text
 from depthcli.io.formats.images import png_bytes, write_drawn, write_png
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
@@ -32,15 +32,6 @@ from depthcli.show.view import View, draw
 Pixels = str | NDArray[np.bool_]
 """Name of a selection of pixels, or (H, W) bool."""
 _MASK = re.compile(r"(all|measured)|confident:(0?\.0*[1-9][0-9]*|1(?:\.0*)?)(?::(.+))?")
-
-
-def made(folder: Path | str) -> Path:
-    """Return the folder; create it if needed. Raise OutputError on failure."""
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from error
-    return Path(folder)
 
 
 def write_depth(
@@ -73,7 +64,7 @@ def write_disparity(
 def _write_preview(folder: Path, view: View) -> None:
     if view.bound is not None:
         write_pfm(folder / "bound.pfm", view.bound)
-    write_drawn(folder / "preview.png", lambda: draw(view, "preview"))
+    write_drawn(folder / "preview.png", partial(draw, view, "preview"))
 
 
 def write_details(result: Result, folder: Path) -> None:

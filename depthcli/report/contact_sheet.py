@@ -136,14 +136,10 @@ def _bar(low: float, high: float, unit: str) -> Picture:
 
 def _named(name: str, image: Picture) -> Picture:
     """Return a small picture below its name."""
-    small = _small(image)
+    height = max(1, round(image.shape[0] * _WIDTH / image.shape[1]))
+    shrink = cv2.INTER_AREA if image.shape[1] > _WIDTH else cv2.INTER_NEAREST
+    small = cv2.resize(image, (_WIDTH, min(height, 2 * _WIDTH)), interpolation=shrink)
     panel = np.full((_LINE + len(small), _WIDTH, 3), 255, np.uint8)
     panel[_LINE:] = small
     draw_text(panel, name, (0, _LINE // 2), _INK, max_width=_WIDTH)
     return panel
-
-
-def _small(image: Picture) -> Picture:
-    height = max(1, round(image.shape[0] * _WIDTH / image.shape[1]))
-    shrink = cv2.INTER_AREA if image.shape[1] > _WIDTH else cv2.INTER_NEAREST
-    return np.asarray(cv2.resize(image, (_WIDTH, min(height, 2 * _WIDTH)), interpolation=shrink), np.uint8)

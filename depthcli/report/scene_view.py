@@ -115,8 +115,6 @@ class SceneView:
         self.name, words, (low, high) = scene.name, protocol.presentation, base.scale
         self.palette = words.palette if palette is None else palette
         self.image = words.image(scene)  # (H, W, 3) RGB or (Z, Y, X) grey levels, or None
-        sensor = words.sensor(scene)  # a map of the scene's shape, or None
-        sensor = None if sensor is None or sensor.shape != base.values.shape else sensor
         self.thumbs: dict[str, dict[str, str]] = {}
         self.figures: dict[str, float] = {}
         self.mean_confidence: dict[str, float] = {}
@@ -125,39 +123,57 @@ class SceneView:
         self.note = self.above = ""
         self.sheet: str | None = None
         self.packed: PackedScene
+        self.scale, self.top = (f"{low:.4g}", f"{high:.4g}"), ""
         self.bound: Range | None = None
         self._drawn: dict[str, dict[str, tuple[str, View]]] = {}  # run -> title of a small picture -> of which view
         self._highs: list[float] = []  # 90 % quantiles of the errors of incorrect pixels
         self._cuts = slices(base.values.shape)
-        # The first view is of the first axis the slice with most known pixels, of such ones the most central.
-        first = [number for number, cut in enumerate(self._cuts) if cut.axis == self._cuts[0].axis]
         region = np.zeros(base.values.shape, np.uint8) if base.kinds is None else base.kinds
-        n_known = {n: int(np.count_nonzero(region[self._cuts[n].index])) for n in first}
-        middle = self._cuts[0].n_places // 2
-        start = max(first, key=lambda n: (n_known[n], -abs(self._cuts[n].place - middle)))
-        self._start = self._cuts[start]
-        self.scale, self.top = (f"{low:.4g}", f"{high:.4g}"), ""
+        first = self._first_cut(region)
+        self._start = self._cuts[first]
+        sensor = words.sensor(scene)  # a map of the scene's shape, or None
+        sensor = None if sensor is None or sensor.shape != base.values.shape else sensor
         self.data: dict[str, Any] = {
             "name": self.name, "protocol": protocol.name, "quantity": words.quantity, "unit": words.unit, "low": low,
-            "high": high, "hidden": bool((region == HIDDEN_RIGHT).any()), "status": {}, "views": [],
-            "words": words.pixel_kind_names, "opacity": words.opacity, "start": start,
+            "high": high, "hidden": bool((region == HIDDEN_RIGHT).any()), "status": {},
+            "views": [self._packed_cut(cut, region, sensor) for cut in self._cuts],
+            "words": words.pixel_kind_names, "opacity": words.opacity, "start": first,
         }  # fmt: skip
-        true = None if base.kinds is None else base.values
-        for cut in self._cuts:
-            plane = region[cut.index]
-            picture = self._image_of(cut)
-            self.data["views"].append({
-                **self._place(cut), "width": plane.shape[1], "height": plane.shape[0], "factor": 1,
-                "image": None if picture is None else jpeg(picture),
-                "sensor": None if sensor is None else pack(sensor[cut.index], *range_of(sensor)),
-                "truth": None if true is None else pack(true[cut.index], *_with_margin(low, high)),
-                "region": None if true is None else pack_bytes(plane), "runs": {},
-            })  # fmt: skip
+        self._add_thumbs_of_scene(sensor)
+
+    def _first_cut(self, region: NDArray[np.uint8]) -> int:
+        """Return the number of the first view: of the first axis' slices, the one with most known pixels.
+
+        Of several such slices, it is the most central one.
+        """
+        cuts = self._cuts
+        numbers = [number for number, cut in enumerate(cuts) if cut.axis == cuts[0].axis]
+        n_known = {n: int(np.count_nonzero(region[cuts[n].index])) for n in numbers}
+        middle = cuts[0].n_places // 2
+        return max(numbers, key=lambda n: (n_known[n], -abs(cuts[n].place - middle)))
+
+    def _packed_cut(
+        self, cut: Slice, region: NDArray[np.uint8], sensor: NDArray[np.floating[Any]] | None
+    ) -> dict[str, Any]:
+        """Return the data of a view: its place, the image, sensor and truth; the runs are added later."""
+        plane, picture = region[cut.index], self._image_of(cut)
+        true = None if self.base.kinds is None else self.base.values
+        return {
+            **self._place(cut), "width": plane.shape[1], "height": plane.shape[0], "factor": 1,
+            "image": None if picture is None else jpeg(picture),
+            "sensor": None if sensor is None else pack(sensor[cut.index], *range_of(sensor)),
+            "truth": None if true is None else pack(true[cut.index], *_with_margin(*self.base.scale)),
+            "region": None if true is None else pack_bytes(plane), "runs": {},
+        }  # fmt: skip
+
+    def _add_thumbs_of_scene(self, sensor: NDArray[np.floating[Any]] | None) -> None:
+        """Add small pictures of the image, the sensor's map and the truth, as far as there are any."""
         if self.image is not None:
             flat = self.image if self._start.axis < 0 else np.stack([self.image[self._start.index]] * 3, axis=-1)
             height, width = flat.shape[:2]
             step = _step(width, height)
             self.thumbs[""] = {"image": jpeg(_shrunk(flat, width // step, height // step))}
+        true = None if self.base.kinds is None else self.base.values
         for kind, values in (("sensor", sensor), ("truth", true)):
             if values is not None:
                 self.thumbs.setdefault("", {})[kind] = png(draw(self._small(View(values)), "values"))

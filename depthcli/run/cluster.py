@@ -150,7 +150,8 @@ def _compute_there(modules: Iterable[str], data: bytes) -> tuple[Row, int, float
         own = replace(task, hidden=task.hidden.with_name(f"{task.hidden.name}-{os.getpid()}-{time.time_ns():x}"))
         limit = work.how.max_memory or resources.available_memory()
         latest = worker.__dict__.setdefault("depthcli_latest", Latest())  # kept as long as the worker lives
-        return counted(partial(compute_scene, own, work, limit, latest), watch)
+        finish, kernels, seconds = counted(partial(compute_scene, own, work, limit, latest), watch)
+        return finish(), kernels, seconds
 
 
 def _identity_here(work: Work) -> str:

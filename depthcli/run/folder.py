@@ -125,14 +125,14 @@ class FolderLock:
             If it has results of another config and ``overwrite`` is not set, if files that no run wrote have the names
             of a run's files, or if other processes write a run of another config there.
         """
-        output, known = self.output, saved_config(self.output)
+        output, known = self.output, read_text(self.output / RUN_FILE)
         if (self.alone or not self.locks) and known != text:
             check_folder(output, text, overwrite)
             for record in records_below(output, digest(known.encode())):  # of the replaced run
                 remove_results(output / record.scene)
             write_text(output / RUN_FILE, text)
             flush(output / RUN_FILE)  # otherwise a power cut could leave records of an unknown run
-        if saved_config(output) != text:
+        if read_text(output / RUN_FILE) != text:
             raise ConfigError(f"{output}: another depthcli writes a run of another config there now; choose another")
         self.share()
 
@@ -235,27 +235,22 @@ def staging_folder(folder: Path, command: str, patterns: Sequence[str], warn: Ca
             discard(made)
 
 
-def saved_config(folder: Path) -> str:
-    """Return the text of a run folder's ``run.yaml``, or an empty text if it is missing or unreadable."""
-    return read_text(folder / RUN_FILE)
-
-
 def check_folder(output: Path, text: str, overwrite: bool) -> None:
     """Raise OutputError or ConfigError if a run with this text of ``run.yaml`` cannot use the folder."""
     if os.path.lexists(output) and not os.path.isdir(output):
         raise OutputError(f"{output}: cannot be used as a run folder (Not a directory)")
-    if saved_config(output) == text:
+    if read_text(output / RUN_FILE) == text:
         return
     if (reason := refusal(output, text)) and not overwrite:
         raise ConfigError(f"{output}: {reason}; choose another --output, or --overwrite it")
     foreign = [name for name in (RUN_FILE, *REPORT_FILES, LEGEND_FILE) if os.path.lexists(output / name)]
-    if foreign and not saved_config(output).startswith(TITLE) and not holds_results(output):
+    if foreign and not read_text(output / RUN_FILE).startswith(TITLE) and not holds_results(output):
         raise ConfigError(f"{output}: {not_ours(foreign)}")
 
 
 def refusal(folder: Path, text: str) -> str:
     """Return a reason if a folder has another run than ``text`` that needs ``--overwrite``, or an empty text."""
-    known = saved_config(folder)
+    known = read_text(folder / RUN_FILE)
     if not os.path.lexists(folder / RUN_FILE) or known == text or not holds_results(folder):
         return ""
     if not known:

@@ -211,7 +211,8 @@ def remove_results(folder: Path) -> None:
     """
     for _ in range(2):  # files in an old claim, then files in the record
         folders = {folder}
-        for name in _claims(folder, (CLAIM_FILE,)):
+        claim = read_record(folder, CLAIM_FILE)
+        for name in () if claim is None else claim.files:
             (folder / name).unlink(missing_ok=True)
             folders.update(folder / parent for parent in Path(name).parents)
         (folder / CLAIM_FILE).unlink(missing_ok=True)
@@ -251,24 +252,21 @@ def not_ours(names: Sequence[str]) -> str:
     )
 
 
-def _claims(folder: Path, names: Sequence[str] = (CLAIM_FILE, RECORD_FILE)) -> set[str]:
-    """Return the files in a folder that the records with these names claim."""
-    return {file for name in names if (record := read_record(folder, name)) is not None for file in record.files}
-
-
 def _foreign_files(folder: Path, files: Mapping[str, str]) -> list[str]:
     """Return the names in ``files``, name -> digest, that would replace a file that no record claims.
 
     Files with the same content may be replaced, since nothing is lost. This includes results whose record was lost.
     """
-    claimed, names, is_ours = _claims(folder), list[str](), False
+    record, claim = read_record(folder), read_record(folder, CLAIM_FILE)
+    claimed = {**(record.files if record else {}), **(claim.files if claim else {})}
+    names, is_ours = list[str](), record is not None or claim is not None
     for name, content in files.items():
         if os.path.lexists(folder / name):
             if file_digest(folder / name) == content:
                 is_ours = True
             elif name not in claimed:
                 names.append(name)
-    if not is_ours and read_record(folder) is None and read_record(folder, CLAIM_FILE) is None:
+    if not is_ours:
         names += [name for name in (RECORD_FILE, CLAIM_FILE) if os.path.lexists(folder / name)]  # foreign files
     return names
 

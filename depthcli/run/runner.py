@@ -19,8 +19,7 @@ from depthcli.core.errors import RESUME, ConfigError, IncompleteError, OutputErr
 from depthcli.core.method import used_files, used_plugins
 from depthcli.core.plugins import Plugin, loaded, plugins_of
 from depthcli.io.formats.files import flush_all
-from depthcli.io.formats.map_format import format_plugins
-from depthcli.io.scenes import layout_plugins
+from depthcli.io.scenes import plugins_of_scenes
 from depthcli.io.scenes.places import origin
 from depthcli.run.cluster import compute_on_cluster
 from depthcli.run.console import Reporter, WarningCounts
@@ -81,8 +80,8 @@ class Plan:
     def __init__(self, job: Job[Any], scenes: Sequence[Any], output: Path, how: Execution) -> None:
         plugins = set[Plugin]()
         if loaded:
-            plugins = used_plugins(job.config) | layout_plugins(scenes) | plugins_of([type(job)])
-            plugins |= format_plugins(file for scene in scenes for file in scene.input_files.values())
+            files = (file for scene in scenes for file in scene.input_files.values())
+            plugins = used_plugins(job.config) | plugins_of([type(job)]) | plugins_of_scenes(scenes, files)
         self.work, self.output, self.scenes = Work(job, how, frozenset(plugins)), output, how.own(scenes)
         self.names = {scene.name for scene in self.scenes}
         self.text = self.work.text  # of run.yaml

@@ -124,21 +124,14 @@ class Task:
         return row
 
 
-def compute_scene(task: Task, work: Work, limit: int, latest: Latest | None = None) -> Row:
-    """Compute a scene with at most ``limit`` bytes, write its record and return its row.
+def compute_scene(task: Task, work: Work, limit: int, latest: Latest | None = None) -> Callable[[], Row]:
+    """Compute a scene in its hidden folder with at most ``limit`` bytes; return the function that finishes it.
+
+    The function moves the files into place, writes the record and returns the row. It waits for the disk, and may run
+    in another thread while the next scene is computed. If a disk was full, the row has the key ``disk_full`` with the
+    place, the reason and the free bytes, and nothing is recorded.
 
     ``latest`` has results that the scenes of this process share.
-
-    If a disk was full, the row has the key ``disk_full`` with the place, the reason and the free bytes, and nothing is
-    recorded.
-    """
-    return compute_hidden(task, work, limit, latest)()
-
-
-def compute_hidden(task: Task, work: Work, limit: int, latest: Latest | None = None) -> Callable[[], Row]:
-    """Compute a scene into its hidden folder; return a function that finishes it as :func:`compute_scene` does.
-
-    The function waits for the disk. It may run in another thread while the next scene is computed.
     """
     resources.reset_peak()
     opened, done = None, False

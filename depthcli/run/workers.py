@@ -18,7 +18,7 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from multiprocessing import connection, resource_tracker
 from typing import Any, TypeVar
@@ -35,7 +35,7 @@ from depthcli.kernels.jit import CompileWatch, cache_folder, set_threads
 from depthcli.run import resources
 from depthcli.run.console import Reporter, silence_warnings
 from depthcli.run.job import Execution, Job
-from depthcli.run.scene import Task, Work, compute_hidden, compute_scene
+from depthcli.run.scene import Task, Work, compute_scene
 from depthcli.show.table import Row
 
 _T = TypeVar("_T")
@@ -117,7 +117,8 @@ def compute_on_this_machine(
     with CompileWatch(partial(_announce_compilation, reporter)) as watch:
         for number, task in enumerate(tasks, 1):
             begun, begun_busy = time.perf_counter(), time.process_time()
-            row, kernels, seconds = counted(partial(compute_scene, task, work, how.memory_each(), latest), watch)
+            finish, kernels, seconds = counted(partial(compute_scene, task, work, how.memory_each(), latest), watch)
+            row = finish()
             took = time.perf_counter() - begun, time.process_time() - begun_busy
             report_compilation(reporter, kernels, seconds)
             yield row
@@ -184,64 +185,88 @@ def compute_in_processes(
     If the first scenes need new kernels, the process that compiles first computes alone until its scene is computed;
     the others are ended, so that they do not compile the same kernels.
     """
-    waiting, retried = iter(tasks), list[tuple[Task, int]]()
-    workers: list[_Worker] = []
-    alone, compiled = False, False
+    pool = _Pool(iter(tasks), work, reporter, jobs)
     try:
         with _ctrl_c_later():  # so that all started processes are ended
             for _ in range(jobs):  # they start in parallel
-                workers.append(_start(work))
+                pool.workers.append(_start(work))
         while True:
-            while sum(worker.computing is not None for worker in workers) < (1 if alone else jobs):
-                task, tries = retried.pop() if retried else (next(waiting, None), 0)
-                if task is None:
-                    break
-                worker = next((worker for worker in workers if worker.computing is None), None)
-                if worker is None:  # one has died
-                    with _ctrl_c_later():
-                        workers.append(worker := _start(work))
-                worker.computing = task, tries + 1
-                with contextlib.suppress(OSError):  # it has died meanwhile, which recv reports below
-                    worker.pipe.send(task)
-            busy = {worker.pipe: worker for worker in workers if worker.computing or worker.finishing}
+            pool.hand_out()
+            busy = {worker.pipe: worker for worker in pool.workers if worker.computing or worker.finishing}
             if not busy:
                 return
             for pipe in connection.wait(list(busy)):
-                worker = busy[pipe]  # type: ignore[index]
-                try:
-                    message = worker.pipe.recv()
-                except (EOFError, OSError):  # the process has ended
-                    worker.process.join()
-                    workers.remove(worker)
-                    killed = worker.process.exitcode == -signal.SIGKILL
-                    code = f"exit code {worker.process.exitcode}"
-                    why = "killed, probably out of memory; see --max-memory" if killed else code
-                    for task, tries in filter(None, (worker.finishing, worker.computing)):
-                        if tries < _MAX_TRIES:
-                            retried.append((task, tries))
-                        else:
-                            yield task.died(f"the worker process died {_MAX_TRIES} times ({why})", work)
-                    continue
-                if message == "compiling":
-                    _announce_compilation(reporter)
-                    if not (alone or compiled):
-                        alone = True
-                        for other in workers:
-                            if other is not worker:
-                                other.process.kill()
-                elif message == "computed":
-                    worker.computing, worker.finishing, alone, compiled = None, worker.computing, False, True
-                else:
-                    row, kernels, seconds = message
-                    worker.finishing = None
-                    report_compilation(reporter, kernels, seconds)
-                    yield row
+                yield from pool.received(busy[pipe])  # type: ignore[index]
     finally:
-        for worker in workers:
+        for worker in pool.workers:
             worker.process.kill()
-        for worker in workers:
+        for worker in pool.workers:
             worker.process.join()
             worker.pipe.close()
+
+
+@dataclass(eq=False)
+class _Pool:
+    """The worker processes, and the tasks that they have not got yet."""
+
+    waiting: Iterator[Task]
+    work: Work
+    reporter: Reporter
+    jobs: int
+    workers: list[_Worker] = field(default_factory=list)
+    retried: list[tuple[Task, int]] = field(default_factory=list)  # of workers that died, with the number of tries
+    alone: bool = False  # one process compiles kernels, and the others are ended
+    compiled: bool = False  # the kernels are there
+
+    def hand_out(self) -> None:
+        """Give every idle process a task, as long as there are any; replace processes that have died."""
+        while sum(worker.computing is not None for worker in self.workers) < (1 if self.alone else self.jobs):
+            task, tries = self.retried.pop() if self.retried else (next(self.waiting, None), 0)
+            if task is None:
+                return
+            worker = next((worker for worker in self.workers if worker.computing is None), None)
+            if worker is None:  # one has died
+                with _ctrl_c_later():
+                    self.workers.append(worker := _start(self.work))
+            worker.computing = task, tries + 1
+            with contextlib.suppress(OSError):  # it has died meanwhile, which ``received`` reports
+                worker.pipe.send(task)
+
+    def received(self, worker: _Worker) -> Iterator[Row]:
+        """Take a message of a process, or its end; yield the row of a finished scene."""
+        try:
+            message = worker.pipe.recv()
+        except (EOFError, OSError):  # the process has ended
+            yield from self._lost(worker)
+            return
+        if message == "compiling":
+            _announce_compilation(self.reporter)
+            if not (self.alone or self.compiled):
+                self.alone = True
+                for other in self.workers:
+                    if other is not worker:
+                        other.process.kill()
+        elif message == "computed":
+            worker.computing, worker.finishing = None, worker.computing
+            self.alone, self.compiled = False, True
+        else:
+            row, kernels, seconds = message
+            worker.finishing = None
+            report_compilation(self.reporter, kernels, seconds)
+            yield row
+
+    def _lost(self, worker: _Worker) -> Iterator[Row]:
+        """Have the tasks of a process that has ended computed again; yield failed rows after too many tries."""
+        worker.process.join()
+        self.workers.remove(worker)
+        killed = worker.process.exitcode == -signal.SIGKILL
+        code = f"exit code {worker.process.exitcode}"
+        why = "killed, probably out of memory; see --max-memory" if killed else code
+        for task, tries in filter(None, (worker.finishing, worker.computing)):
+            if tries < _MAX_TRIES:
+                self.retried.append((task, tries))
+            else:
+                yield task.died(f"the worker process died {_MAX_TRIES} times ({why})", self.work)
 
 
 def _start(work: Work) -> _Worker:
@@ -312,7 +337,7 @@ def _serve(pipe: connection.Connection, plugins: Iterable[str], pickled: bytes) 
         while True:
             task = pipe.recv()
             shutil.rmtree(task.hidden, ignore_errors=True)  # a worker that died may have left it
-            computed = counted(partial(compute_hidden, task, work, limit, latest), watch)
+            computed = counted(partial(compute_scene, task, work, limit, latest), watch)
             if finished is not None:
                 finished.result()
             send("computed")

@@ -14,8 +14,7 @@ from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, RegisteredPair
 from depthcli.io.formats.files import collected_warnings
-from depthcli.io.formats.files_behind import transform_files, volume_files
-from depthcli.io.formats.volumes import read_grid, read_volume, write_array
+from depthcli.io.formats.volumes import read_grid, read_volume, transform_files, volume_files, write_array
 from depthcli.io.scenes import VolumePairScene
 from depthcli.io.scenes.kinds import distortion_map
 from depthcli.io.volume_pairs import LoadedPair, label_masks, load_volumes, true_errors

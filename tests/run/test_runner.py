@@ -447,7 +447,7 @@ def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path:
                 if number == 1 and not gone:
                     gone.append(folder)
                     discard(folder.parent)  # the run ends, and the next one makes the scene
-                    assert compute_scene(task(tmp_path / "next"), work, context.memory)["status"] == "done"
+                    assert compute_scene(task(tmp_path / "next"), work, context.memory)()["status"] == "done"
                 folder.mkdir(parents=True, exist_ok=True)  # as the writers of files do
                 (folder / name).write_text(text)
             return Outcome()
@@ -457,7 +457,7 @@ def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path:
         return Task(scene, tmp_path / "run", place / "0", "run", {}, "", {})
 
     work = Work(Slow(Config()), Execution(), frozenset())
-    row = compute_scene(task(tmp_path / "making"), work, 1 << 30)
+    row = compute_scene(task(tmp_path / "making"), work, 1 << 30)()
     assert row["status"] == "failed"
     assert "the run has ended" in row["error"]
     known = records.read_record(tmp_path / "run/item")

@@ -211,28 +211,9 @@ def read_disparity(
     values = read_plane(path)
     if values.dtype.kind == "b":
         raise InputError(f"{shown(path)}: true or false, expected disparities")
-    codes, kind, name = values.dtype.kind in "iu", values.dtype.str[1:], shown(path)
+    codes = values.dtype.kind in "iu"
     if scale is None and codes:
-        if (
-            kind == "u2"
-            and asks
-            and not _has_kitti_scale(path)
-            and (top := int(values.max(initial=0, where=values < _NEGATIVE)))
-        ):
-            if top > OPENCV_SCALE * values.shape[1]:  # with 16 codes per pixel, wider than the image
-                warn(f"{name}: uint16 disparities are divided by 256, as KITTI's; --scale gives another {_OF_TRUTH}")
-            else:
-                raise ScaleError(
-                    f"{name}: uint16 disparities of unknown scale: the largest code, {top}, is {top / KITTI_SCALE:.4g} "
-                    f"px in KITTI's files (--scale 256), {top / OPENCV_SCALE:.4g} px in OpenCV's (--scale 16) "
-                    f"{_OF_TRUTH}; or store pixels, as PFM"
-                )
-        scale = {"u1": scale_8bit, "u2": KITTI_SCALE, "i2": OPENCV_SCALE}.get(kind)
-        if scale is None:
-            bits = "8-bit" if values.itemsize == 1 else values.dtype
-            raise InputError(f"{name}: {bits} disparities need a scale (codes per pixel): --scale {_OF_TRUTH}")
-        if kind == "i2":
-            warn(f"{name}: int16 disparities are divided by 16, as OpenCV's; --scale gives another {_OF_TRUTH}")
+        scale = _usual_scale(path, values, scale_8bit, asks)
     with np.errstate(all="ignore"):  # infinite results are unknown, like infinite values
         exact = values / np.float64(scale) if codes else values.astype(np.float32) / np.float32(scale or 1)
         disparity = exact.astype(np.float32)
@@ -247,6 +228,28 @@ def read_disparity(
             f"{width} px; is the scale (codes per pixel) right?"
         )
     return disparity
+
+
+def _usual_scale(path: Path | str, values: NDArray[Any], scale_8bit: float | None, asks: bool) -> float:
+    """Return the scale of integer codes that :func:`read_disparity` assumes, with its warnings and errors."""
+    kind, name = values.dtype.str[1:], shown(path)
+    top = int(values.max(initial=0, where=values < _NEGATIVE)) if kind == "u2" else 0
+    if asks and top and not _has_kitti_scale(path):
+        if top <= OPENCV_SCALE * values.shape[1]:
+            raise ScaleError(
+                f"{name}: uint16 disparities of unknown scale: the largest code, {top}, is {top / KITTI_SCALE:.4g} "
+                f"px in KITTI's files (--scale 256), {top / OPENCV_SCALE:.4g} px in OpenCV's (--scale 16) "
+                f"{_OF_TRUTH}; or store pixels, as PFM"
+            )
+        # With 16 codes per pixel, it would be wider than the image.
+        warn(f"{name}: uint16 disparities are divided by 256, as KITTI's; --scale gives another {_OF_TRUTH}")
+    if kind == "i2":
+        warn(f"{name}: int16 disparities are divided by 16, as OpenCV's; --scale gives another {_OF_TRUTH}")
+    scale = {"u1": scale_8bit, "u2": KITTI_SCALE, "i2": OPENCV_SCALE}.get(kind)
+    if scale is None:
+        bits = "8-bit" if values.itemsize == 1 else values.dtype
+        raise InputError(f"{name}: {bits} disparities need a scale (codes per pixel): --scale {_OF_TRUTH}")
+    return scale
 
 
 def check_sign(name: Path | str, disparity: NDArray[np.float32], offset: float = 0.0) -> None:

@@ -26,9 +26,11 @@ from depthcli.algorithms.resampling import nearest, trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
 from depthcli.io.formats.files import naming, open_regular, read_bytes, shown, warn
-from depthcli.io.formats.files_behind import MAX_CHAIN, MAX_TRANSFORM_BYTES, initial_transform
 from depthcli.io.formats.plain_text import numbers, points_of, text_of
 from depthcli.io.formats.volumes import (
+    MAX_CHAIN,
+    MAX_TRANSFORM_BYTES,
+    initial_transform,
     itk_header,
     itk_image,
     library_errors,
@@ -166,42 +168,47 @@ def read_moving_transform(
     given, auto raises InputError if another reading fits clearly better. For any convention, and for transforms, warn
     if the inverse, negated or no displacements fit clearly better.
     """
-    sitk = simple_itk()
     grids = fixed.grid, None if moving is None else moving.grid
     after = None if transform is None else read_transform(transform, grids)
     chain = [] if after is None else [after]
     if displacement is not None and suffix_of(displacement) in (".h5", ".tfm", ".txt"):
         chain.append(read_transform(displacement, grids))
     elif displacement is not None:
-        field = read_field(displacement, fixed.grid)
-        readings = {"auto": field.named, "ants": "itk"}
-        reading = readings.get(convention, convention)
-        if convention == "niftyreg" and field.named == "positions":
-            reading = "positions"
-        if bad := int(np.count_nonzero(~np.isfinite(field.values).all(axis=3))):
-            count = int(np.prod(field.grid.shape))
-            raise InputError(
-                f"{displacement}: {bad} of {count} displacements are no numbers; make them 0 where unknown"
-            )
-        is_spline = field.named in _SPLINES
-        if is_spline and convention not in ("auto", "niftyreg"):
-            raise InputError(f"{displacement}: {field.named} of NiftyReg, which --field {convention} is not")
-        if convention == "auto" and moving is not None and not is_spline:
-            with naming(displacement):
-                _check_reading(field, reading, fixed, moving, after)
-        shifts = in_millimeters(field, "positions" if is_spline else reading)
-        with naming(displacement):
-            if reason := _doubtful_extent(field.grid, shifts, fixed.grid):
-                warn(f"{shown(displacement)}: {reason}")
-        chain.append(_spline(field) if is_spline else sitk.DisplacementFieldTransform(itk_image(shifts, field.grid)))
+        chain.append(_displacement(displacement, convention, fixed, moving, after))
     if not chain:
         raise InputError("neither a transform nor a displacement field")
-    combined = sitk.CompositeTransform(chain)
+    combined = simple_itk().CompositeTransform(chain)
     if moving is not None:
         with naming(displacement or transform or ""):
             if reason := _misfit(combined, fixed, moving):
                 warn(f"{shown(displacement or transform or '')}: {reason}")
     return combined
+
+
+def _displacement(path: Path, convention: str, fixed: Volume, moving: Volume | None, after: Any) -> Any:
+    """Return the SimpleITK transform of a displacement field, or of a B-spline of NiftyReg.
+
+    ``after`` is the transform after it, or None. Raise InputError for unknown displacements, a convention that is not
+    the field's, or a field that does not cover the fixed volume.
+    """
+    field = read_field(path, fixed.grid)
+    if bad := int(np.count_nonzero(~np.isfinite(field.values).all(axis=3))):
+        count = int(np.prod(field.grid.shape))
+        raise InputError(f"{path}: {bad} of {count} displacements are no numbers; make them 0 where unknown")
+    is_spline = field.named in _SPLINES
+    if is_spline and convention not in ("auto", "niftyreg"):
+        raise InputError(f"{path}: {field.named} of NiftyReg, which --field {convention} is not")
+    reading = {"auto": field.named, "ants": "itk"}.get(convention, convention)
+    if convention == "niftyreg" and field.named == "positions":
+        reading = "positions"
+    if convention == "auto" and moving is not None and not is_spline:
+        with naming(path):
+            _check_reading(field, reading, fixed, moving, after)
+    shifts = in_millimeters(field, "positions" if is_spline else reading)
+    with naming(path):
+        if reason := _doubtful_extent(field.grid, shifts, fixed.grid):
+            warn(f"{shown(path)}: {reason}")
+    return _spline(field) if is_spline else simple_itk().DisplacementFieldTransform(itk_image(shifts, field.grid))
 
 
 def _doubtful_extent(grid: Grid, shifts: NDArray[np.float64], fixed: Grid) -> str:

@@ -174,6 +174,15 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         raise
 
 
+def made(folder: Path | str) -> Path:
+    """Return the folder; create it if needed. Raise OutputError on failure."""
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from error
+    return Path(folder)
+
+
 def flush_all(paths: Iterable[Path]) -> None:
     """Flush files in parallel, which takes about as long as one file. Raise OSError if one fails."""
     list(_flushes.map(flush, paths))

@@ -157,7 +157,7 @@ def _decoded(data: bytes) -> tuple[Image, int]:
 
 def _with_libraries(data: bytes, kind: str, header: _TiffHeader | None) -> tuple[NDArray[Any], int]:
     """Return samples as stored by Pillow, or by OpenCV for 16-bit color and PNG, and the EXIF orientation or 0."""
-    image = _opened(data, kind)
+    image = _opened(BytesIO(data), kind)
     if getattr(image, "n_frames", 1) > 1 and kind == "Png":
         raise InputError(f"an animation of {image.n_frames} frames, expected one image")  # type: ignore[attr-defined]
     if (turn := _orientation(image)) and kind == "Tiff":
@@ -165,7 +165,7 @@ def _with_libraries(data: bytes, kind: str, header: _TiffHeader | None) -> tuple
         order = "<" if data.startswith(b"II") else ">"
         entry, upright = (struct.pack(f"{order}HHIHH", _ORIENTATION, 3, 1, k, 0) for k in (turn, 1))
         data = data.replace(entry, upright, 1)
-        image = _opened(data, kind)
+        image = _opened(BytesIO(data), kind)
     size, mode, bands = (image.height, image.width), image.mode, len(image.getbands())
     is_wide = ";16" in str(image.tile[0][3]) and (kind == "Png" or not image.mode.startswith("I;16"))
     _check_size(*size, bands * (2 if is_wide else 1), len(data))
@@ -248,7 +248,7 @@ def decode_bits(data: bytes) -> NDArray[np.uint8]:
     if image_kind(data) != "Png":
         raise InputError("expected a PNG of status bits")
     with _decoding("Png"):
-        image = _opened(data, "Png")
+        image = _opened(BytesIO(data), "Png")
         _check_size(image.height, image.width, 1, len(data))
         if image.mode not in ("P", "L"):
             raise InputError("expected a PNG of status bits, one channel of 8 bit")
@@ -305,7 +305,7 @@ def image_size(path: Path | str) -> tuple[int, int]:
                 tags = _tiff_tags(file)
                 size, turn = (int(tags[_HEIGHT]), int(tags[_WIDTH])), int(tags.get(_ORIENTATION, 1))
             else:
-                image = _with_pillow(file, kind)
+                image = _opened(file, kind, verify=False)
                 size, turn = (image.height, image.width), _orientation(image)
             return size if turn < 5 else size[::-1]
 
@@ -575,18 +575,14 @@ def _tiff_tags(file: IO[bytes]) -> Any:
         return tags
 
 
-def _opened(data: bytes, kind: str) -> ImageFile:
-    """Return the image of a file without decoding it."""
-    if kind == "Png":
-        _with_pillow(BytesIO(data), kind).verify()  # the checksums of all chunks
-    return _with_pillow(BytesIO(data), kind)
-
-
-def _with_pillow(file: IO[bytes], kind: str) -> ImageFile:
+def _opened(file: IO[bytes], kind: str, verify: bool = True) -> ImageFile:
+    """Return the image of a file without decoding it; ``verify`` the checksums of a PNG."""
     # Classes are called directly, since Image.open has its own limit of pixels and loads all formats.
-    module = importlib.import_module(f"PIL.{kind}ImagePlugin")
-    opened: ImageFile = getattr(module, f"{kind}ImageFile")(file)
-    return opened
+    format: type[ImageFile] = getattr(importlib.import_module(f"PIL.{kind}ImagePlugin"), f"{kind}ImageFile")
+    if verify and kind == "Png":
+        format(file).verify()
+        file.seek(0)
+    return format(file)
 
 
 def _with_opencv(data: bytes) -> NDArray[Any]:

@@ -29,4 +29,4 @@ from depthcli.io.scenes.kinds import sequences as sequences
 from depthcli.io.scenes.rows import Folder as Folder
 from depthcli.io.scenes.rows import Layout as Layout
 from depthcli.io.scenes.rows import Layouts as Layouts
-from depthcli.io.scenes.rows import layout_plugins as layout_plugins
+from depthcli.io.scenes.rows import plugins_of_scenes as plugins_of_scenes

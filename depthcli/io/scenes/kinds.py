@@ -20,7 +20,7 @@ from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import read_disparity, read_mask
 from depthcli.io.formats.files import shown, warn
-from depthcli.io.formats.files_behind import transform_files, volume_files
+from depthcli.io.formats.volumes import transform_files, volume_files
 
 MAX_DISPARITY = 1 << 20
 """Largest absolute disparity that a file may request, pixels; no image is as wide."""

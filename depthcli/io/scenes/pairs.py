@@ -412,23 +412,35 @@ def named_pairs(values: Mapping[str, Any]) -> list[Scene]:
     if left is None and right is None:
         return []
     if left is not None and right is None and (halves or left.suffix.lower() == ".mpo"):
-        right, halves = left, halves or FRAMES
+        halves = halves or FRAMES
         if _is_many(left):
-            files = [image.file for image in _images(left)]
-            names = [file.stem for file in files]
-            if len(set(names)) < len(names):
-                names = ["_".join(file.with_suffix("").parts[-2:]) for file in files]
-            return [_named(name, file, file, halves=halves) for name, file in zip(names, files, strict=True)]
+            return [_named(name, file, file, halves=halves) for name, file in _files_by_name(left)]
+        right = left
     if left is None or right is None:
         raise ConfigError("--left needs --right, too" if right is None else "--right needs --left, too")
     if not halves and (_is_many(left) or _is_many(right)):
         return [*pairs_of_patterns(left, right)]
-    one = _named(name_of_file(left, *_GENERIC_NAMES), left, right, halves=halves or "")
-    if left.suffix.lower() not in VIDEO_SUFFIXES:
-        return [one]
+    pair = _named(name_of_file(left, *_GENERIC_NAMES), left, right, halves=halves or "")
+    return [*_frames_of(pair, left, right)] if left.suffix.lower() in VIDEO_SUFFIXES else [pair]
+
+
+def _files_by_name(place: Path) -> list[tuple[str, Path]]:
+    """Return name and file of the images of a pattern or folder; names that repeat are preceded by the folder's."""
+    files = [image.file for image in _images(place)]
+    names = [file.stem for file in files]
+    if len(set(names)) < len(names):
+        names = ["_".join(file.with_suffix("").parts[-2:]) for file in files]
+    return list(zip(names, files, strict=True))
+
+
+def _frames_of(pair: StereoScene, left: Path, right: Path) -> list[StereoScene]:
+    """Return the pairs of frames of two videos, or of one that holds both views.
+
+    Raise ConfigError if one cannot be read, or their frame rates differ; warn if their lengths differ.
+    """
     try:
         count, rate = frames_and_rate(left)
-        other, other_rate = (count, rate) if halves else frames_and_rate(right)
+        other, other_rate = (count, rate) if pair.halves else frames_and_rate(right)
     except InputError as error:
         raise ConfigError(str(error)) from None
     if rate and other_rate and abs(rate / other_rate - 1) > _MAX_RATE_DIFFERENCE:
@@ -445,7 +457,7 @@ def named_pairs(values: Mapping[str, Any]) -> list[Scene]:
         warnings = (line,)
     digits = max(6, len(str(max(count, other))))
     return [
-        replace(one, name=f"{number:0{digits}}", frame_number=number, warnings=warnings)
+        replace(pair, name=f"{number:0{digits}}", frame_number=number, warnings=warnings)
         for number in range(min(count, other))
     ]
 

@@ -22,12 +22,12 @@ from typing import Any, Generic, NamedTuple, TypeVar, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.plugins import Plugin, Registry, plugins_of, registered_name
+from depthcli.core.plugins import Plugin, Registry, loaded, plugins_of, registered_name
 from depthcli.core.text import short
 from depthcli.core.yaml_source import read_config
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import IMAGE_SUFFIXES
-from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
+from depthcli.io.formats.map_format import MAP_SUFFIXES, format_plugins, map_suffixes
 from depthcli.io.formats.plain_text import json_object
 from depthcli.io.scenes.kinds import RgbdScene, Scene, StereoScene
 
@@ -227,10 +227,11 @@ class Layouts(Generic[SceneT]):
         return replace(self, rows=(*self.rows, *(row for row in added if issubclass(row.kind, self.kind))))
 
 
-def layout_plugins(scenes: Iterable[Scene]) -> set[Plugin]:
-    """Return the plug-ins with a layout of any of these scenes."""
+def plugins_of_scenes(scenes: Iterable[Scene], files: Iterable[Path]) -> set[Plugin]:
+    """Return the plug-ins with a layout of any of these scenes, or with a format of any of these files."""
     names = {scene.layout for scene in scenes}
-    return plugins_of(kind for name, kind in PLUGINS.added.items() if name.replace("_", "-") in names)
+    layouts = (kind for name, kind in PLUGINS.added.items() if name.replace("_", "-") in names)
+    return plugins_of(layouts) | format_plugins(files)
 
 
 class Found(NamedTuple):
@@ -403,17 +404,10 @@ def _possible(row: LayoutRow, there: frozenset[str]) -> tuple[Mapping[str, str],
     return tuple(possible)
 
 
-class _MapSuffixes:
-    """The endings of maps; the package's are tried first, since loading plug-ins is slow."""
-
-    def __contains__(self, suffix: object) -> bool:
-        return suffix in MAP_SUFFIXES or suffix in map_formats()
-
-
 def _suffixes(role: str) -> Container[str]:
     """Return the endings of a role's files."""
     if role.startswith("disparity"):
-        return _MapSuffixes()
+        return map_suffixes() if loaded else MAP_SUFFIXES
     return _DEPTH_SUFFIXES if role.startswith(("depth", "sparse")) else IMAGE_SUFFIXES
 
 
