@@ -227,7 +227,9 @@ def _load_plugins(config: ConfigData, folder: Path) -> None:
 
 def _symbols(config: ConfigData) -> dict[str, str]:
     """Remove the key ``symbols`` from a config, and return it."""
-    symbols = config.data.pop("symbols", {})
+    if "symbols" not in config.data:
+        return {}
+    symbols = config.data.pop("symbols")
     if not isinstance(symbols, dict) or not all(isinstance(word, str) for word in (*symbols, *symbols.values())):
         place = f"{config.place(('symbols',))}: symbols"
         raise ConfigError(f"{place}: expected symbols and their keys, such as w: energy.smoothness")

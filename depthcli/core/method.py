@@ -61,7 +61,7 @@ class ConfigModel(BaseModel):
     @classmethod
     def _no_truth_values_for_numbers(cls, value: Any, info: ValidationInfo) -> Any:
         parts = value if isinstance(value, list | tuple) else [value]
-        if info.field_name is not None and any(isinstance(part, bool) for part in parts):
+        if info.field_name is not None and bool in map(type, parts):
             annotation = cls.model_fields[info.field_name].annotation
             if _takes(annotation, (int, float)) and not _takes(annotation, (bool,)):
                 raise PydanticCustomError("number", "should be a number, and is true or false")
@@ -140,7 +140,7 @@ class RootConfig(ConfigModel):
         if not isinstance(data, dict) or not cls.flattened:
             return data
         default = cls.model_fields[cls.flattened].default
-        name = data.get(cls.flattened, default.method_name() if isinstance(default, Method) else None)
+        name = data.get(cls.flattened, registered_name(type(default)) if isinstance(default, Method) else None)
         if isinstance(name, BaseModel):
             return data
         fields = cls.model_fields.keys() - {cls.flattened}

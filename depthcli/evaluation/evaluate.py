@@ -203,10 +203,11 @@ def evaluate_runs(
             write_text(folder / "scores.csv", to_csv(report.records()))
             write_text(folder / "scores.json", scores)
             configs = {run: read_text(place / RUN_FILE) for run, place in places.items()}
-            scoring.show(lambda viewer: viewer.write(report, scores, configs))
-    for line in report.warnings(
-        together=True, with_reports=choices.rows is None
-    ):  # else the run has just printed its own
+            for viewer, guard in scoring.viewers():
+                with guard:
+                    viewer.write(report, scores, configs)
+    with_reports = choices.rows is None  # otherwise the run has just printed its own
+    for line in report.warnings(together=True, with_reports=with_reports):
         reporter.info(f"warning: {line}")
     for result in report.failed:
         reporter.error(f"{result.run} {result.scene}: {result.error}")
@@ -249,20 +250,21 @@ class _Scoring:
             self.reports[run] = read_report(place) if self.choices.rows is None else self.choices.rows
             self.promises[run] = promised(read_text((place if place.is_dir() else place.parent.parent) / RUN_FILE))
 
-    def show(self, step: Callable[[Viewer], None]) -> None:
-        """Let every viewer take a step, except viewers that could not be written before."""
+    def viewers(self) -> Iterator[tuple[Viewer, contextlib.AbstractContextManager[None]]]:
+        """Yield every viewer that could be written so far, with a context for its next step, which may fail."""
         for viewer in self.choices.viewers:
-            missed = can_be_missed(viewer.file, self.unwritten, self.choices.reporter)
             if viewer.file not in self.unwritten:
-                with contextlib.nullcontext() if viewer.needed else missed:
-                    step(viewer)
+                missed = can_be_missed(viewer.file, self.unwritten, self.choices.reporter)
+                yield viewer, contextlib.nullcontext() if viewer.needed else missed
 
     def all_results(self, scenes: Sequence[Scene]) -> list[MapResult]:
         """Return the results of every scene and run; a line of progress for each scene."""
         names = names_in_run([scene.name for scene in scenes], self.truth)
         self._recognize_maps(scenes, names)
-        if (folder := self.output) is not None:
-            self.show(lambda viewer: viewer.begin(folder))
+        if self.output is not None:
+            for viewer, guard in self.viewers():
+                with guard:
+                    viewer.begin(self.output)
         results = []
         with self.choices.reporter.counting(len(scenes), 0, "evaluate"):
             for scene in scenes:
@@ -278,8 +280,9 @@ class _Scoring:
         """Return the results as a report, with the plug-ins in use, warnings, and flags."""
         reporter, protocols = self.choices.reporter, self.protocols
         for name, value in vars(self.choices.settings).items():
-            taken = any(name in protocol.takes for protocol in protocols.values())
-            if value not in (None, False) and protocols and not taken:
+            if value in (None, False) or not protocols:
+                continue
+            if not any(name in protocol.takes for protocol in protocols.values()):
                 reporter.info(f"--{name} makes no difference to {', '.join(protocols)}")
         plugins = set[Plugin]()
         if loaded:
@@ -388,7 +391,9 @@ class _Scoring:
             return [replace(start, run=run, error=str(error)) for run in self.runs]
         if self.choices.protocol is None and truth.looks_like:
             self.misfits.setdefault(protocol.name, []).append((scene.name, truth.looks_like))
-        self.show(lambda viewer: viewer.begin_scene(protocol, scene, truth))
+        for viewer, guard in self.viewers():
+            with guard:
+                viewer.begin_scene(protocol, scene, truth)
         results = []
         for run in self.runs:
             with collected_warnings() as map_lines:
@@ -415,7 +420,9 @@ class _Scoring:
             if outside is not None:
                 write_drawn(self.output / result.bound_picture, partial(paint, outside))
         scored = ScoredMap(result, found.path, found.estimate, truth, found.confidences, found.bound)
-        self.show(lambda viewer: viewer.add_map(scored))
+        for viewer, guard in self.viewers():
+            with guard:
+                viewer.add_map(scored)
         return result
 
     def _read(

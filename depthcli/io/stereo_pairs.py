@@ -35,7 +35,10 @@ class StereoTruth:
 
 def load_views(scene: StereoScene) -> tuple[Image, Image]:
     """Return both images as stored; their sizes and dtypes may differ. Raise InputError if one cannot be read."""
-    left, right = _both(scene)
+    scene.check()
+    left, right = scene.left, scene.right
+    if right is None:
+        raise InputError(f"{left.parent}: scene {scene.name} has no right image")
     if scene.halves == FRAMES:
         return read_two_frames(left)
     if scene.halves:
@@ -53,23 +56,16 @@ def load_views(scene: StereoScene) -> tuple[Image, Image]:
 
 def load_pair(scene: StereoScene) -> StereoPair:
     """Return left and right image, both grey if one is. Raise InputError if their sizes or dtypes differ."""
-    files = _both(scene)
-    if scene.frame_number is None and not scene.halves:
-        return read_pair(*files)
-    return pair_of(*load_views(scene), files)
+    scene.check()
+    if scene.right is None or scene.halves or scene.frame_number is not None:
+        return pair_of(*load_views(scene), (scene.left, scene.right or scene.left))
+    return read_pair(scene.left, scene.right)
 
 
 def view_size(scene: StereoScene) -> tuple[int, int]:
     """Return height and width of the left view by the header of its file."""
     height, width = image_size(scene.left)
     return height // (1 + (scene.halves == TOP_BOTTOM)), width // (1 + (scene.halves == LEFT_RIGHT))
-
-
-def _both(scene: StereoScene) -> tuple[Path, Path]:
-    scene.check()
-    if scene.right is None:
-        raise InputError(f"{scene.left.parent}: scene {scene.name} has no right image")
-    return scene.left, scene.right
 
 
 def true_disparity(scene: StereoScene) -> StereoTruth:

@@ -15,6 +15,7 @@ from depthcli.io.formats.disparity import map_npy
 from depthcli.io.formats.networks import network_path, read_network
 from depthcli.io.scenes import StereoScene
 from depthcli.methods.fusion.pipeline import Fusion
+from depthcli.methods.stereo.matching import Limits
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.problems.inputs import Overrides
 from depthcli.problems.results import Disparity
@@ -67,6 +68,10 @@ class Fuse(Pairs[FuseConfig]):
         if self.ends(scene)[0] != 0:
             raise InputError(f"{scene.folder}: volumes made elsewhere begin at disparity 0; leave --min-disparity out")
         return self.config.with_volumes(lambda: {name: map_npy(file) for name, file in files.items()})
+
+    def limits(self, memory: int) -> Limits:
+        """Return the limits; the fusion has no implementation for devices."""
+        return Limits(memory, self.config.tiles, self.config.tile_memory << 20)
 
     def files(self, scene: StereoScene) -> dict[str, Path]:
         """Return role -> file for the pair, external volumes, and the network that chooses among maps."""

@@ -41,7 +41,7 @@ from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair, view_size
 from depthcli.methods.given_maps import MEASURES, Networks, judge, judge_by_one_view, peak_bytes
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
-from depthcli.methods.stereo.search_range import SearchRange, matched_range
+from depthcli.methods.stereo.search_range import MAX_DISPARITY, SearchRange, matched_range
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.problems.inputs import as_image, as_map, as_pair
 from depthcli.problems.problem import MAP_FILES, Inputs, Problem, ResultT, Shown
@@ -52,8 +52,6 @@ from depthcli.run.resources import available_memory, check_memory
 from depthcli.show.table import SIZE, Row, median, number, percent, share, size_of
 from depthcli.show.view import STATUS_PALETTE, View
 
-MAX_DISPARITY = 16383
-"""Largest disparity that can be searched, pixels; 14 bits, since no method can match wider images."""
 _TOP_SHARE = 0.999  # quantile of the values; larger values do not widen the search range
 _MAX_BEYOND = 0.01  # share of a map's values above the range, beyond which it has a warning
 _MIN_EXPECTED = 0.3  # mean probability below which a map has a warning

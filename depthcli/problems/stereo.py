@@ -34,10 +34,16 @@ from depthcli.methods.stereo.matching import Limits, TileMode, device_table, hos
 from depthcli.methods.stereo.networks import Network, network_device, networks_in
 from depthcli.methods.stereo.pipeline import Pipeline
 from depthcli.methods.stereo.pipeline.command import Program
-from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, complete_range, matched_beyond
+from depthcli.methods.stereo.search_range import (
+    MAX_DISPARITY,
+    MatchedRange,
+    SearchRange,
+    complete_range,
+    matched_beyond,
+)
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.volume import StereoResult
-from depthcli.problems.given_maps import MAX_DISPARITY, networks
+from depthcli.problems.given_maps import networks
 from depthcli.problems.inputs import Overrides, as_image, load_config, paired
 from depthcli.problems.problem import MAP_FILES, Inputs, Problem, Shown
 from depthcli.problems.rectified import (
@@ -190,9 +196,9 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
     def matcher(self, scene: StereoScene | None = None) -> PairMatcher:
         """Return the matcher for a scene's pair, or for arrays."""
 
+    @abstractmethod
     def limits(self, memory: int) -> Limits:
         """Return the limits for matching a pair with at most ``memory`` bytes."""
-        return Limits(memory, self.config.tiles, self.config.tile_memory << 20, None)
 
     def ends(self, scene: StereoScene | None = None) -> tuple[int | str, int | str | None]:
         """Return the ends of the search range from the config or, by default, from the scene.
@@ -376,10 +382,10 @@ class Stereo(Pairs[StereoConfig]):
 
     def limits(self, memory: int) -> Limits:
         """Return the limits, with the device unless it is the CPU or the pipeline opens the device itself."""
-        limits = super().limits(memory)
-        if self.config.device == "cpu" or not self.config.pipeline.uses_devices:
-            return limits
-        return replace(limits, device=device.open_device(self.config.device))
+        config, opened = self.config, None
+        if config.device != "cpu" and config.pipeline.uses_devices:
+            opened = device.open_device(config.device)
+        return Limits(memory, config.tiles, config.tile_memory << 20, opened)
 
     def row(self, inputs: PairInputs, result: Disparity) -> Row:
         """Return the row, with the device if the config names one."""

@@ -259,13 +259,12 @@ class _Run:
 
     def _sum_up(self) -> None:
         """Print or raise the reasons for missing scenes."""
-        n_failed = sum(row["status"] == "failed" for row in self.rows.values())
-        n_all = len(self.plan.names)
-        left = n_all - len(self.rows) - len(self.elsewhere)
-        counts = f"{len(self.rows) - n_failed} of {n_all} scenes done, {n_failed} failed, {left} not computed"
-        if self.disk_full:
-            raise OutputError(f"{self.disk_full}; stopped, {counts}; make room there, and {RESUME}")
-        if self.first_failure:
+        if self.disk_full or self.first_failure:
+            n_all, n_failed = len(self.plan.names), sum(row["status"] == "failed" for row in self.rows.values())
+            left = n_all - len(self.rows) - len(self.elsewhere)
+            counts = f"{len(self.rows) - n_failed} of {n_all} scenes done, {n_failed} failed, {left} not computed"
+            if self.disk_full:
+                raise OutputError(f"{self.disk_full}; stopped, {counts}; make room there, and {RESUME}")
             self.reporter.info(f"stopped at the first failure, {counts}; {RESUME}")
         if self.elsewhere:
             self.reporter.info(f"{len(self.elsewhere)} scenes are being computed by other processes")

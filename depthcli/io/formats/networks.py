@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,30 +24,28 @@ def network_path(name: str) -> Path:
     """Return the path of a network: ``name`` itself if it ends with .json, otherwise a file of the package."""
     if name.endswith(".json"):
         return Path(name)
-    shipped = {file.stem: file for file in sorted(_SHIPPED.glob("*.json"))}
-    if name not in shipped:
-        raise InputError(
-            f"no network called {name!r}; expected a .json file or one of the package: {', '.join(shipped)}"
-        )
-    return shipped[name]
+    path = _SHIPPED / f"{name}.json"
+    if not path.is_file():
+        shipped = ", ".join(file.stem for file in sorted(_SHIPPED.glob("*.json")))
+        raise InputError(f"no network called {name!r}; expected a .json file or one of the package: {shipped}")
+    return path
 
 
 def read_network(path: Path) -> TrainedNetwork:
     """Return a network from a file of :func:`write_network`."""
-    data = read_bytes(path, _MAX_BYTES)
+    data, numbers = read_bytes(path, _MAX_BYTES), partial(np.array, dtype=np.float32)
     with naming(path):
         try:
             content = json.loads(data)
             if content["format"] != _FORMAT:
                 raise InputError(f"format {str(content['format'])[:40]!r}, expected {_FORMAT!r}")
             with np.errstate(over="ignore"):  # TrainedNetwork rejects infinite values
-                arrays = [(each["weights"], each["offsets"]) for each in content["layers"]]
                 return TrainedNetwork(
                     tuple(map(str, content["maps"])),
                     tuple(map(str, content["inputs"])),
-                    np.array(content["mean"], np.float32),
-                    np.array(content["scale"], np.float32),
-                    tuple((np.array(one, np.float32), np.array(other, np.float32)) for one, other in arrays),
+                    numbers(content["mean"]),
+                    numbers(content["scale"]),
+                    tuple((numbers(each["weights"]), numbers(each["offsets"])) for each in content["layers"]),
                     tuple(map(str, content["trained_on"])),
                 )
         except (LookupError, TypeError, ValueError, OverflowError, RecursionError, AttributeError) as error:

@@ -188,9 +188,9 @@ def _find(path: Path, rows: Sequence[Layout], layout: str | None, warn: Warn) ->
         return _scenes_below(folder, rows, warn)
     files = {file for file in vars(scenes[0]).values() if isinstance(file, Path)}
     for name in folder.folders:
-        inside = Folder(path / name, name, f"{name}/", folder.requested)
-        if not any(inside.path in file.parents for file in files):
+        if not any(path / name in file.parents for file in files):
             with contextlib.suppress(InputError):
+                inside = Folder(path / name, name, f"{name}/", folder.requested)
                 is_run = RUN_FILE in inside.names and _is_run(inside)
                 if not is_run and any(not scene.problem for scene in _scenes_of(inside, rows)):
                     place = f"its scenes lie beside those of {path} itself"
@@ -205,23 +205,23 @@ def _scenes_below(folder: Folder, rows: Sequence[Layout], warn: Warn, level: int
     """
     scenes: list[Scene] = []
     for child in folder.folders:
-        name = folder.prefix + child
-        inside = Folder(folder.path / child, name, f"{name}/", folder.requested)
+        name, path = folder.prefix + child, folder.path / child
         try:
+            inside = Folder(path, name, f"{name}/", folder.requested)
             if RUN_FILE in inside.names and _is_run(inside):
                 place = "holds a run, its results are left out of the scenes"
-                warn(f"{inside.path}: {place}; to use them, give it as the folder")
+                warn(f"{path}: {place}; to use them, give it as the folder")
                 continue
             of_folder = _scenes_of(inside, rows)
             if not of_folder and level <= _LEVELS:
                 of_folder = _scenes_below(inside, rows, warn, level + 1)
         except InputError as error:
-            of_folder = [Scene(name=name, folder=inside.path, problem=str(error))]
+            of_folder = [Scene(name=name, folder=path, problem=str(error))]
         if level <= _LEVELS:
             scenes += of_folder
         elif any(not scene.problem for scene in of_folder):
             give = f"{folder.path} or {folder.path.parent}"
-            warn(f"{inside.path}: lies too deep, not used; to use it, give {give} as the folder")
+            warn(f"{path}: lies too deep, not used; to use it, give {give} as the folder")
             break
     return scenes
 
@@ -298,8 +298,8 @@ def scenes_with_files(files: Iterable[Path], layouts: Layouts[Any]) -> dict[Path
         for place in path.parents[:_MAX_ABOVE]:
             if place not in by_folder:
                 by_folder[place] = {}
-                folder = Folder(place, place.name, "")
                 with contextlib.suppress(InputError):
+                    folder = Folder(place, place.name, "")
                     inside = [scene for row in rows for scene in row.scenes(folder)]
                     for scene in reversed(inside):  # the first of two scenes with the same file wins
                         by_folder[place] |= {value: scene for value in vars(scene).values() if isinstance(value, Path)}

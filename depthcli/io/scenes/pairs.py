@@ -497,7 +497,7 @@ def _images(place: Path) -> list[_Image]:
             images.append(_Image(file, captured, str(Path(*varying).with_suffix(""))))
     if not images:
         if is_folder:
-            Folder(place, "", "").has()  # raises InputError if it cannot be read
+            Folder(place, "", "")  # raises InputError if it cannot be read
         query = "; a query behind its URL is read of archives alone" if ":/" in str(place) else ""
         raise ConfigError(f"{place}: matches no image{query}")
     return images

@@ -51,7 +51,7 @@ _Key = tuple[tuple[str, str], ...]  # items of Texts
 
 @dataclass(eq=False)
 class Folder:
-    """The names in a folder, for layouts; they are read at first use.
+    """The names in a folder, for layouts; hidden ones are left out. Raise InputError if the folder cannot be read.
 
     ``name`` is the scene's name if the folder itself is a scene. ``prefix`` begins the names of scenes inside.
     ``requested`` is the layout that the user named, or empty.
@@ -61,32 +61,22 @@ class Folder:
     name: str
     prefix: str
     requested: str = ""
+    names: frozenset[str] = field(init=False, repr=False)
+    folders: list[str] = field(init=False, repr=False)  # sorted names of subfolders
     _below: dict[str, Folder | None] = field(default_factory=dict, init=False, repr=False)
 
-    @cached_property
-    def _is_folder(self) -> dict[str, bool]:
-        """Name -> whether it is a folder. Raise InputError if the folder cannot be read."""
-        is_folder = {}
+    def __post_init__(self) -> None:
+        names, folders = [], []
         try:
             with naming(self.path), os.scandir(self.path) as entries:
                 for entry in entries:
                     if entry.name[0] != ".":
-                        is_folder[entry.name] = False
+                        names.append(entry.name)
                         with contextlib.suppress(OSError):  # a link to itself
-                            is_folder[entry.name] = entry.is_dir()
+                            folders += [entry.name] * entry.is_dir()
         except OSError as error:
             raise InputError(f"{self.path}: cannot be read ({error.strerror or error})") from error
-        return is_folder
-
-    @cached_property
-    def names(self) -> frozenset[str]:
-        """The names in the folder, without hidden ones."""
-        return frozenset(self._is_folder)
-
-    @cached_property
-    def folders(self) -> list[str]:
-        """The sorted names of subfolders."""
-        return sorted(filter(self._is_folder.__getitem__, self._is_folder))
+        self.names, self.folders = frozenset(names), sorted(folders)
 
     def has(self, *names: str) -> bool:
         """Return whether the folder has all of the names."""
@@ -97,7 +87,7 @@ class Folder:
         files = _by_stem(self.names).get(stem)
         if files is None:  # the usual case: every layout looks for its own names
             return None
-        fitting = [name for suffix, name in files if suffix in suffixes and not self._is_folder[name]]
+        fitting = [name for suffix, name in files if suffix in suffixes and name not in self.folders]
         if len(fitting) > 1:
             raise InputError(f"{self.path}: both {fitting[0]} and {fitting[1]}; keep one")
         return self.path / fitting[0] if fitting else None

@@ -17,6 +17,9 @@ from depthcli.core.maps import DisparityMap, Floats, Status
 from depthcli.methods.stereo.stages import quick_stages
 from depthcli.methods.stereo.volume import StereoResult
 
+MAX_DISPARITY = 16383
+"""Largest disparity that can be searched, pixels; 14 bits, since no method can match wider images."""
+
 _SMALL, _LARGER = 5_000, 20_000  # pixels of the two sizes at which a pair is matched to find its range
 _WINDOWS = 7, 5  # sides of the census window at these sizes, pixels
 _MIN_SHIFT, _MAX_SHIFT = -0.5, 0.75  # disparities searched at the smaller size, shares of the width

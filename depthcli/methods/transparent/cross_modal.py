@@ -20,6 +20,7 @@ from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.fusion.pipeline import Fusion
+from depthcli.methods.stereo.search_range import MAX_DISPARITY
 from depthcli.methods.stereo.segments.steps import SegmentSteps
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.methods.transparent.match_selection import MatchSelection, local_deviation
@@ -74,7 +75,10 @@ class CrossModal(ConfigModel):
         0, description="window of the median of the infrared image, against speckles, pixels; 0: none"
     )
     max_disparity: int | None = Field(
-        None, ge=1, le=16383, description="largest disparity, pixels; null: a quarter more than the sensor's largest"
+        None,
+        ge=1,
+        le=MAX_DISPARITY,
+        description="largest disparity, pixels; null: a quarter more than the sensor's largest",
     )
     fusion: Fusion = Field(
         default_factory=lambda: Fusion.model_validate(_MEASURES),
