@@ -134,7 +134,8 @@ def test_a_toy_scene_has_the_same_files_by_the_command_and_from_python(
     assert main(words_of(request, command, name, tmp_path / "r")) == 0
     report = json.loads((tmp_path / "r" / "report.json").read_text())
     assert report["done"] >= 1
-    same_figures(f"{command} {name}", tmp_path / "r", request.config.getoption("renew"))
+    renewed = request.config.getoption("renew")
+    same_figures(f"{command} {name}", tmp_path / "r", renewed, columns=[*report["scenes"][0]])
     if command in ("stereo", "fuse"):
         values = read_pfm(tmp_path / "r" / "planes_0" / "disp_left.pfm")
         known = values[np.isfinite(values)]
