@@ -238,17 +238,21 @@ def test_a_rig_whose_rows_do_not_meet_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("n_places", "noise", "longer", "is_refused"),
+    ("n_pairs", "n_places", "noise", "longer", "is_refused"),
     [
-        (6, 0.01, 1.3, False),
-        (6, 0.2, 1.3, True),  # a rig that fits worse than its cameras has to resemble them
-        (1, 0.0, 1.0, True),  # copies, though the photos of each camera alone determine it
+        (6, 6, 0.01, 1.3, False),
+        (3, 3, 0.01, 1.0, False),
+        (2, 2, 0.01, 1.0, True),
+        (6, 6, 0.2, 1.3, True),  # a rig that fits worse than its cameras has to resemble them
+        (6, 1, 0.0, 1.0, True),  # copies, though the photos of each camera alone determine it
     ],
 )
-def test_pairs_and_cameras_that_determine_a_rig(n_places: int, noise: float, longer: float, is_refused: bool) -> None:
+def test_pairs_and_cameras_that_determine_a_rig(
+    n_pairs: int, n_places: int, noise: float, longer: float, is_refused: bool
+) -> None:
     board, true, rng = Chessboard(9, 6, SQUARE), boards.rig(), np.random.default_rng(0)
     pairs, places = {}, list(boards.poses(6, EXTENT))
-    for k in range(6):
+    for k in range(n_pairs):
         turn, shift = places[k % n_places]
         points = board.points @ turn.T + shift
         seen = true.left.project(points), true.right.project(points @ true.rotation.T + true.translation)

@@ -154,6 +154,7 @@ def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
     (told / "report.json").write_text(json.dumps({"scenes": [{"scene": "a", "status": "failed", "error": "too dark"}]}))
     report = evaluated([run, broken, told], truth, tmp_path / "out")
     reasons = {(r.run, r.scene): r.error for r in report.failed}
+    assert "looked for" in reasons["run", "a"]
     words = {("run", "a"): "no map of scene a", ("run", "b"): "32 x 10", ("broken", "a"): "damaged PFM",
              ("told", "a"): "too dark"}  # fmt: skip
     assert set(reasons) == set(words)
