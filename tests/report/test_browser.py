@@ -106,7 +106,7 @@ def test_values_under_the_pointer(browser: Any, made: Path, runs: list[Path]):
                 if "scale" not in row[1]:
                     assert float(row[1]) == pytest.approx(value, abs=0.0055)
                     assert float(row[2]) == pytest.approx(error, abs=0.006)
-                assert row[3] == ("wrong" if error > 1 else "right") + (", occluded" if x < 8 else "")
+                assert row[3] == ("incorrect" if error > 1 else "correct") + (", occluded" if x < 8 else "")
             assert float(rows[0][4]) == pytest.approx(bound[y, x], abs=0.01)
             assert rows[0][5] == ("occluded, filled" if x < 8 else "measured")
             assert float(rows[0][6].split(",")[0].removeprefix("lrd ")) == pytest.approx(confidence[y, x], abs=5e-4)
