@@ -101,11 +101,12 @@ def without_constants(path: Path | str, disparity: NDArray[np.float32], is_truth
         left = left[left != mark]
     clean, stored = disparity, cast(NDArray[Any], disparity)
     largest = left.max(initial=-np.inf)
-    if marks or _is_isolated(left, largest, disparity.size):
+    is_apart = _is_isolated(left, largest, disparity.size)
+    if marks or is_apart:
         with contextlib.suppress(InputError):  # e.g. disparities packed into colors have no single code
             stored = read_plane(path)
-    if stored.dtype.kind in "iu" and (stored[disparity == largest] == np.iinfo(stored.dtype).max).any():
-        marks += [largest] if _is_isolated(left, largest, disparity.size) else []
+    if is_apart and stored.dtype.kind in "iu" and (stored[disparity == largest] == np.iinfo(stored.dtype).max).any():
+        marks.append(largest)
     for mark in marks:
         marked = disparity == mark
         code = float(stored[marked][0])
