@@ -203,9 +203,7 @@ def evaluate_runs(
             write_text(folder / "scores.csv", to_csv(report.records()))
             write_text(folder / "scores.json", scores)
             configs = {run: read_text(place / RUN_FILE) for run, place in places.items()}
-            for viewer, guard in scoring.viewers():
-                with guard:
-                    viewer.write(report, scores, configs)
+            scoring.show(lambda viewer: viewer.write(report, scores, configs))
     with_reports = choices.rows is None  # otherwise the run has just printed its own
     for line in report.warnings(together=True, with_reports=with_reports):
         reporter.info(f"warning: {line}")
@@ -250,21 +248,20 @@ class _Scoring:
             self.reports[run] = read_report(place) if self.choices.rows is None else self.choices.rows
             self.promises[run] = promised(read_text((place if place.is_dir() else place.parent.parent) / RUN_FILE))
 
-    def viewers(self) -> Iterator[tuple[Viewer, contextlib.AbstractContextManager[None]]]:
-        """Yield every viewer that could be written so far, with a context for its next step, which may fail."""
+    def show(self, step: Callable[[Viewer], None]) -> None:
+        """Let every viewer take a step, except those that could not be written before."""
         for viewer in self.choices.viewers:
             if viewer.file not in self.unwritten:
                 missed = can_be_missed(viewer.file, self.unwritten, self.choices.reporter)
-                yield viewer, contextlib.nullcontext() if viewer.needed else missed
+                with contextlib.nullcontext() if viewer.needed else missed:
+                    step(viewer)
 
     def all_results(self, scenes: Sequence[Scene]) -> list[MapResult]:
         """Return the results of every scene and run; a line of progress for each scene."""
         names = names_in_run([scene.name for scene in scenes], self.truth)
         self._recognize_maps(scenes, names)
-        if self.output is not None:
-            for viewer, guard in self.viewers():
-                with guard:
-                    viewer.begin(self.output)
+        if (folder := self.output) is not None:
+            self.show(lambda viewer: viewer.begin(folder))
         results = []
         with self.choices.reporter.counting(len(scenes), 0, "evaluate"):
             for scene in scenes:
@@ -391,9 +388,7 @@ class _Scoring:
             return [replace(start, run=run, error=str(error)) for run in self.runs]
         if self.choices.protocol is None and truth.looks_like:
             self.misfits.setdefault(protocol.name, []).append((scene.name, truth.looks_like))
-        for viewer, guard in self.viewers():
-            with guard:
-                viewer.begin_scene(protocol, scene, truth)
+        self.show(lambda viewer: viewer.begin_scene(protocol, scene, truth))
         results = []
         for run in self.runs:
             with collected_warnings() as map_lines:
@@ -420,9 +415,7 @@ class _Scoring:
             if outside is not None:
                 write_drawn(self.output / result.bound_picture, partial(paint, outside))
         scored = ScoredMap(result, found.path, found.estimate, truth, found.confidences, found.bound)
-        for viewer, guard in self.viewers():
-            with guard:
-                viewer.add_map(scored)
+        self.show(lambda viewer: viewer.add_map(scored))
         return result
 
     def _read(
