@@ -33,7 +33,10 @@ class Surf(Detector):
         descriptors = np.zeros((len(points), 64), np.float32)
         if len(points):
             margin = 2 + int(13 * points[:, 2].max())  # boxes of a descriptor may extend beyond the image
-            run_bands(_describe, len(points), np.pad(integral, margin, "edge"), margin, points, descriptors)
+            padded = np.pad(integral, margin, "edge")
+            squares = np.arange(-4, 5) ** 2
+            weights = np.exp((squares[:, None] + squares) / -12.5).astype(np.float32)  # in a cell
+            run_bands(_describe, len(points), padded, margin, points, weights, descriptors)
         x, y, scale, response, sign = points.T.copy()
         return KeyPoints(x, y, scale, response, sign.astype(np.int8), descriptors)
 
@@ -163,12 +166,8 @@ def _offset(r, k, j, i):
 
 
 @jit
-def _describe(begin, end, integral, margin, points, descriptors):
+def _describe(begin, end, integral, margin, points, weights, descriptors):
     # Write (N, 64) descriptors, from 24 x 24 Haar responses at the point's scale, in 4 x 4 cells of 9 x 9.
-    inner = empty((9, 9), np.float32)
-    for j in range(9):
-        for i in range(9):
-            inner[j, i] = np.exp(((i - 4) * (i - 4) + (j - 4) * (j - 4)) / -12.5)
     for n in range(begin, end):
         cx, cy, scale = points[n, 0], points[n, 1], points[n, 2]
         half = max(1, int(np.floor(scale + 0.5)))
@@ -190,10 +189,10 @@ def _describe(begin, end, integral, margin, points, descriptors):
         for cell in range(16):
             top, left = cell // 4 * 5, cell % 4 * 5
             dx, dy, ax, ay = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
-            for j in range(9):
-                for i in range(9):
-                    h = inner[j, i] * horizontal[top + j, left + i]
-                    v = inner[j, i] * vertical[top + j, left + i]
+            for j in range(weights.shape[0]):  # unrolled with a constant, it would become slower code
+                for i in range(weights.shape[1]):
+                    h = weights[j, i] * horizontal[top + j, left + i]
+                    v = weights[j, i] * vertical[top + j, left + i]
                     dx += h
                     dy += v
                     ax += abs(h)

@@ -20,7 +20,7 @@ _SAMPLED_PIXELS = 2000  # in larger segments, the misfit of a RANSAC plane is co
 _MIN_CROSS = 0.5  # smallest cross product of three pixels that determine a plane, square pixels
 _REFITS = 5  # largest number of least squares after RANSAC
 _MIN_WORK = 100  # constant work of a segment, in pixels: drawing samples takes time, too
-_LANES = 32  # RANSAC planes that are tested at once; the result does not depend on it
+_BLOCK = 64  # pixels after which a RANSAC plane is dropped if its misfit is too large
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,6 @@ def _fit(begin, end, values, order, starts, chosen, share, limits, coefficients,
     width = values.shape[1]
     tolerance, trials, max_slope, flatness, seed = limits
     for task in range(begin, end):
-        lanes = zeros((4, _LANES), np.float64)
         for k in range(chosen.size):
             if share[k] != task:
                 continue
@@ -147,11 +146,11 @@ def _fit(begin, end, values, order, starts, chosen, share, limits, coefficients,
                 py[i] -= my
             state = np.uint64(seed + 1) * np.uint64(0x9E3779B97F4A7C15)
             state += np.uint64(chosen[k] + 1) * np.uint64(0xBF58476D1CE4E5B9)
-            a, b, c = _ransac(px, py, pd, flat, tolerance, trials, max_slope, state, lanes)
+            a, b, c = _ransac(px, py, pd, flat, tolerance, trials, max_slope, state)
             a, b, c = _refit(px, py, pd, a, b, c, tolerance, max_slope)
             # A slope that hardly lowers the misfit follows noise.
-            misfit = _misfit(px, py, pd, 1, a, b, c, tolerance)
-            if flatness * _misfit(px, py, pd, 1, 0.0, 0.0, flat, tolerance) <= misfit:
+            misfit = _misfit(px, py, pd, a, b, c, tolerance, np.inf)
+            if flatness * _misfit(px, py, pd, 0.0, 0.0, flat, tolerance, np.inf) <= misfit:
                 a, b, c = 0.0, 0.0, flat
             n, sx, sy, _ = _inlier_sums(px, py, pd, a, b, c, tolerance)
             coefficients[k, 0], coefficients[k, 1], coefficients[k, 2] = a, b, c - a * mx - b * my
@@ -169,15 +168,14 @@ def _pick(state, count):
 
 
 @helper
-def _ransac(px, py, pd, flat, tolerance, trials, max_slope, state, lanes):
+def _ransac(px, py, pd, flat, tolerance, trials, max_slope, state):
     # Return the plane through three pixels with the smallest misfit, or the flat plane.
     count = px.size
     stride = max(1, count // _SAMPLED_PIXELS)
+    sx, sy, sd = px[::stride].copy(), py[::stride].copy(), pd[::stride].copy()
     a, b, c = 0.0, 0.0, flat
-    best = _misfit(px, py, pd, stride, a, b, c, tolerance)
-    n = 0
-    last = trials - 1 if count >= 3 else -1
-    for trial in range(last + 1):
+    best = _misfit(sx, sy, sd, a, b, c, tolerance, np.inf)
+    for _ in range(trials if count >= 3 else 0):
         state, i0 = _pick(state, count)
         state, i1 = _pick(state, count)
         state, i2 = _pick(state, count)
@@ -188,32 +186,11 @@ def _ransac(px, py, pd, flat, tolerance, trials, max_slope, state, lanes):
             ta = (ud * vy - uy * vd) / cross
             tb = (ux * vd - ud * vx) / cross
             if abs(ta) <= max_slope and abs(tb) <= max_slope:
-                lanes[0, n], lanes[1, n], lanes[2, n] = ta, tb, pd[i0] - ta * px[i0] - tb * py[i0]
-                n += 1
-        if n == _LANES or trial == last:
-            _misfits(px, py, pd, stride, lanes, tolerance, best)
-            for k in range(n):
-                if lanes[3, k] < best:
-                    a, b, c, best = lanes[:, k]
-            n = 0
+                tc = pd[i0] - ta * px[i0] - tb * py[i0]
+                misfit = _misfit(sx, sy, sd, ta, tb, tc, tolerance, best)
+                if misfit < best:
+                    a, b, c, best = ta, tb, tc, misfit
     return a, b, c
-
-
-@helper
-def _misfits(px, py, pd, stride, lanes, tolerance, enough):
-    # Write _misfit of the planes ``lanes[:3]`` to ``lanes[3]``; stop once all of them exceed ``enough``.
-    a, b, c, totals = lanes[0], lanes[1], lanes[2], lanes[3]
-    limit = tolerance * tolerance
-    totals[:] = 0.0
-    step = 16 * stride
-    for start in range(0, px.size, step):
-        for i in range(start, min(start + step, px.size), stride):
-            x, y, d = px[i], py[i], pd[i]
-            for k in range(_LANES):
-                distance = a[k] * x + b[k] * y + c[k] - d
-                totals[k] += min(distance * distance, limit)
-        if totals.min() > enough:
-            break
 
 
 @helper
@@ -240,8 +217,8 @@ def _refit(px, py, pd, a, b, c, tolerance, max_slope):
         if abs(ta) > max_slope or abs(tb) > max_slope:
             break
         tc = sd - ta * sx - tb * sy
-        misfit = _misfit(px, py, pd, 1, ta, tb, tc, tolerance)
-        if misfit >= _misfit(px, py, pd, 1, a, b, c, tolerance):
+        misfit = _misfit(px, py, pd, ta, tb, tc, tolerance, np.inf)
+        if misfit >= _misfit(px, py, pd, a, b, c, tolerance, np.inf):
             break
         a, b, c = ta, tb, tc
     return a, b, c
@@ -261,13 +238,19 @@ def _inlier_sums(px, py, pd, a, b, c, tolerance):
 
 
 @helper
-def _misfit(px, py, pd, stride, a, b, c, tolerance):
-    # Return the sum of squared distances, each at most tolerance squared (MSAC).
+def _misfit(px, py, pd, a, b, c, tolerance, enough):
+    # Return the sum of squared distances, each at most tolerance squared (MSAC); stop once it exceeds ``enough``.
     limit = tolerance * tolerance
     total = 0.0
-    for i in range(0, px.size, stride):
-        distance = a * px[i] + b * py[i] + c - pd[i]
-        total += min(distance * distance, limit)
+    for start in range(0, px.size, _BLOCK):
+        part = 0.0
+        x, y, d = px[start : start + _BLOCK], py[start : start + _BLOCK], pd[start : start + _BLOCK]
+        for i in range(x.size):  # from 0, so that it needs no wraparound, which would prevent vector code
+            distance = a * x[i] + b * y[i] + c - d[i]
+            part += min(distance * distance, limit)
+        total += part
+        if total > enough:
+            break
     return total
 
 
