@@ -144,7 +144,7 @@ def run_job(
     if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
         return 1
     incomplete = failed or missing or (evaluation is not None and evaluation.incomplete)
-    return flags.exit_code(bool(incomplete), options.fail_flagged, all_rows=options.shard is None and not elsewhere)
+    return flags.exit_code(bool(incomplete), options.fail_flagged, all_rows=how.shard is None and not elsewhere)
 
 
 def _print_plan(job: SceneJob[SceneT], scenes: Sequence[SceneT], options: RunOptions) -> None:

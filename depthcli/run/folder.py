@@ -74,13 +74,15 @@ class FolderLock:
     def __enter__(self) -> FolderLock:
         try:
             self.output.mkdir(parents=True, exist_ok=True)
-            self._folder = os.open(self.output, os.O_RDONLY)
+            if self.locks:  # Windows cannot open folders
+                self._folder = os.open(self.output, os.O_RDONLY)
         except OSError as error:
             raise OutputError(f"{self.output}: cannot be used as a run folder ({error.strerror or error})") from error
         try:
             self._wait()
         except BaseException:
-            os.close(self._folder)
+            if self._folder >= 0:
+                os.close(self._folder)
             raise
         return self
 

@@ -44,6 +44,7 @@ BUG = "a bug in depthcli: "
 _LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image", "PyMaxflow")
 _MAX_TRACE_NAME = 200  # bytes of a scene's name in the name of its traceback; a file's name has 255
 _MAX_NAMED = 20  # files in a message
+_NOT_OPEN = -1  # in place of a folder's descriptor: Windows cannot open folders
 _KEPT_SHARE = 16  # of the memory that a process may use, for arrays of its next scene: fresh pages take long
 
 
@@ -140,7 +141,9 @@ def compute_scene(task: Task, work: Work, limit: int, latest: Latest | None = No
             task.scene.check()
             lines += task.scene.warnings
             task.hidden.mkdir(parents=True)
-            opened = os.open(task.hidden, os.O_RDONLY)  # no other folder can get its inode number while it is open
+            opened = _NOT_OPEN
+            with contextlib.suppress(PermissionError):  # no other folder can get its inode number while it is open
+                opened = os.open(task.hidden, os.O_RDONLY)
             context = Context(limit, task.scene.name, limit, latest or Latest())
             outcome = work.job.compute(task.scene, task.hidden, context)
             row, done = task.done(outcome, context.used, lines), True
@@ -197,7 +200,7 @@ def _install(task: Task, work: Work, row: Row, opened: int) -> None:
 
 def _leave(task: Task, opened: int | None) -> None:
     """Close and delete the hidden folder."""
-    if opened is not None:
+    if opened is not None and opened != _NOT_OPEN:
         os.close(opened)
     shutil.rmtree(task.hidden, ignore_errors=True)
 
@@ -245,6 +248,8 @@ def _failed_row(task: Task, error: BaseException) -> Row:
 
 def _is_open(folder: Path, opened: int) -> bool:
     """Return whether the path still leads to the folder that was opened."""
+    if opened == _NOT_OPEN:
+        return folder.is_dir()
     try:
         return os.path.samestat(os.stat(folder), os.fstat(opened))
     except OSError:

@@ -175,6 +175,7 @@ class _Worker:
     pipe: connection.Connection
     computing: tuple[Task, int] | None = None
     finishing: tuple[Task, int] | None = None  # the previous task, which waits for the disk
+    ended: bool = False  # by us, so that its tasks lose no try
 
 
 def compute_in_processes(
@@ -246,6 +247,7 @@ class _Pool:
                 for other in self.workers:
                     if other is not worker:
                         other.process.kill()
+                        other.ended = True
         elif message == "computed":
             worker.computing, worker.finishing = None, worker.computing
             self.alone, self.compiled = False, True
@@ -259,12 +261,12 @@ class _Pool:
         """Have the tasks of a process that has ended computed again; yield failed rows after too many tries."""
         worker.process.join()
         self.workers.remove(worker)
-        killed = worker.process.exitcode == -signal.SIGKILL
+        killed = worker.process.exitcode == -9  # SIGKILL, which Windows has not
         code = f"exit code {worker.process.exitcode}"
         why = "killed, probably out of memory; see --max-memory" if killed else code
         for task, tries in filter(None, (worker.finishing, worker.computing)):
-            if tries < _MAX_TRIES:
-                self.retried.append((task, tries))
+            if (lost := tries - worker.ended) < _MAX_TRIES:
+                self.retried.append((task, lost))
             else:
                 yield task.died(f"the worker process died {_MAX_TRIES} times ({why})", self.work)
 

@@ -7,12 +7,14 @@ import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from depthcli.core.errors import ConfigError
 from depthcli.run import workers
+from depthcli.run.console import Reporter
 from depthcli.run.folder import LOCKS_FILE, FolderLock
 from depthcli.run.job import shard_of
 from tests.command_line import contents, run, start, statuses, wait_for
@@ -199,6 +201,54 @@ def test_what_a_shard_is(text: str | None, slurm: str, shard: tuple[int, int] | 
 @pytest.mark.parametrize("text", ["0/2", "3/2", "1", "a/b"])
 def test_wrong_shards_are_refused(text: str):
     refused(ConfigError, shard_of, text, {})
+
+
+@pytest.mark.slow
+def test_a_shard_of_slurm_misses_no_value_that_others_have(
+    made_scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    flags = ("--flag", "absent<1", "--fail-flagged", "-q")
+    assert run("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "whole", *flags) == 4
+    assert run("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", "--shard", "1/6", *flags) == 0
+    for name, value in {"ID": "2", "MIN": "1", "STEP": "1", "COUNT": "6"}.items():
+        monkeypatch.setenv(f"SLURM_ARRAY_TASK_{name}", value)
+    assert run("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", *flags) == 0
+
+
+@pytest.mark.slow
+def test_a_system_without_locks_and_folders_that_open(made_scenes: Path, whole: Path, tmp_path: Path):
+    """Windows: no fcntl, no resource, and a folder cannot be opened."""
+    code = """if True:
+        import os, shutil, sys
+        sys.modules |= {"fcntl": None, "resource": None}
+        shutil._use_fd_functions, opened = False, os.open
+        def no_folders(path, *rest, **more):
+            if os.path.isdir(path):
+                raise PermissionError(13, "Permission denied", path)
+            return opened(path, *rest, **more)
+        os.open = no_folders
+        from depthcli.cli import main
+        sys.exit(main(sys.argv[1:]))
+    """
+    common = ("-i", made_scenes, "-o", tmp_path / "run", "--scenes", "planes_0", "-q")
+    done = subprocess.run([sys.executable, "-c", code, "stereo", FAST, *common], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert contents(tmp_path / "run" / "planes_0") == contents(whole / "planes_0")
+
+
+def test_a_process_that_the_run_ends_costs_no_try():
+    def worker(tries: int, recv: Any) -> Any:
+        process = SimpleNamespace(kill=lambda: None, join=lambda: None, exitcode=-9)
+        pipe = SimpleNamespace(recv=recv)
+        return workers._Worker(process, pipe, computing=("task", tries))  # type: ignore[arg-type]
+
+    def ended() -> None:
+        raise EOFError
+
+    compiling, other = worker(1, lambda: "compiling"), worker(workers._MAX_TRIES, ended)
+    pool = workers._Pool(iter(()), None, Reporter(), 2, [compiling, other])  # type: ignore[arg-type]
+    assert list(pool.received(compiling)) == []
+    assert list(pool.received(other)) == [] and pool.retried == [("task", workers._MAX_TRIES - 1)]
 
 
 @pytest.mark.slow

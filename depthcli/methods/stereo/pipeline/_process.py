@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import resource
 import shutil
 import signal
 import subprocess
@@ -52,6 +51,10 @@ def run_program(
     the end of the program's output, if it fails, runs for more than ``timeout`` seconds, or takes more memory than the
     scene may.
     """
+    try:
+        import resource
+    except ImportError:
+        raise ProgramError("programs of others run on Linux and macOS only") from None
     name = os.path.basename(words[0])
     logs = [folder / "stderr.txt", folder / "stdout.txt"]
     until, peak, problem = time.monotonic() + timeout, 0, ""
@@ -64,8 +67,7 @@ def run_program(
     except OSError as error:
         raise ProgramError(f"{name} cannot be started: {error.strerror or error}") from error
     with _ended_group(program.pid):
-        # The program stays a zombie until its group has ended, so that no other process gets its number.
-        while os.waitid(os.P_PID, program.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+        while (ended := os.wait4(program.pid, os.WNOHANG))[0] == 0:
             peak = max(peak, _resident_bytes(program.pid))
             if time.monotonic() > until:
                 problem = f"was ended after {timeout:g} s; see timeout"
@@ -75,7 +77,7 @@ def run_program(
             if problem:
                 break
             time.sleep(_LOOK_SECONDS)
-    _, status, used = os.wait4(program.pid, 0)
+    _, status, used = ended if ended[0] else os.wait4(program.pid, 0)
     program.returncode = code = os.waitstatus_to_exitcode(status)
     if not problem and code:
         names = {int(each): each.name for each in signal.Signals}
