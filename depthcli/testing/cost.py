@@ -19,6 +19,8 @@ def check_cost_measure(cost: CostMeasure) -> None:
 
 def _checked(cost: CostMeasure, pair: StereoPair, n_disparities: int) -> CostVolume:
     volume = cost.checked_costs(pair, n_disparities)
+    size = volume.costs.itemsize
+    assert size <= cost.bytes_per_cost, f"costs have {size} bytes; set bytes_per_cost, from which memory is estimated"
     outside = volume.costs[~inside((*pair.shape, n_disparities))]
     if outside.size:
         assert outside.min() == outside.max(), "matches outside the right image have different costs"

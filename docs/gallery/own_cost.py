@@ -18,6 +18,7 @@ from depthcli.methods.stereo.volume import CostVolume
 class SquaredDifference(CostMeasure):
     """Squared difference of grey levels, truncated."""
     truncation: float = 900.0
+    bytes_per_cost = 4  # float32
 
     def __call__(self, pair, n_disparities):
         left, right = (image.astype(np.float32) for image in pair.grey8)

@@ -16,6 +16,7 @@ class SquaredDifference(CostMeasure):
     truncation: float = Field(900.0, gt=0, description="largest cost, squared grey levels")
     outside: float = Field(100.0, ge=0, description="cost of a match outside the right image, squared grey levels")
 
+    bytes_per_cost = 4  # float32
     compares_levels = True  # it counts less where the light of the views differs
 
     def halo(self) -> int:

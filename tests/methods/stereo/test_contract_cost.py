@@ -42,6 +42,14 @@ class OneInfinite(Census):
         return CostVolume(costs)
 
 
+class Wide(Census):
+    """Costs of four bytes, which its memory is not estimated for."""
+
+    def __call__(self, pair, n_disparities):
+        volume = super().__call__(pair, n_disparities)
+        return CostVolume(volume.costs.astype(np.float32), volume.scale)
+
+
 class Raises(Census):
     """Costs that cannot be computed."""
 
@@ -51,6 +59,7 @@ class Raises(Census):
 
 @pytest.mark.parametrize(("kind", "said"), [
     (OneInfinite, "OneInfinite fails .* infinite"),
+    (Wide, "Wide fails .* bytes_per_cost"),
     (Raises, "Raises fails .* KeyError"),
     (Wrong, r"Wrong fails costs_depend_on_the_halo_alone \(A tile with the margin"),
     (Random, "Random fails true_shift_is_cheapest"),
