@@ -294,7 +294,7 @@ def test_layouts_of_a_users_file(tmp_path: Path):
     first, second = find(tmp_path / "set", str(rows))
     assert (first.name, first.layout, first.max_disparity, second.has_truth) == ("7", "mine", 5, False)
     np.testing.assert_array_equal(true(first).disparity, TRUTH)
-    rows.write_text("mine: {left: 'cam/a_{id}.*', rihgt: x}")
+    rows.write_text("mine: {left: 'cam/a_{id}.*', decode: x.png}")  # no file, but a function that reads one
     refused(ConfigError, find, tmp_path / "set", str(rows))
     rows.write_text("mine: {left: 'cam/a_{id}.*', right: 'other/b_{id}.*', max_disparity: far}")
     refused(ConfigError, find, tmp_path / "set", str(rows))

@@ -39,9 +39,10 @@ NUMBER = r"\d{9,}\.\d+|\d+"
 _DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".pfm", ".npy", ".exr")
 _MAX_POSITIVE, _MAX_WHOLE = 1e6, 1 << 20  # limits of numbers in meta.json; no image is as wide
 _PLACEHOLDER = re.compile(r"\{(\w+)\}")
+_FILE_TYPES = (Path, Path | None, dict[str, Path])  # of scene fields that a file is found for
 _MASK = "mask."  # prefix of the role of one mask
 _MASKS = "masks"  # role of all masks; ``{mask}`` is the name
-_OWN_FIELDS = ("folder", "layout", "problem")  # scene fields that a user's layout cannot set
+_OWN_FIELDS = ("folder", "layout", "problem", "decode")  # scene fields that a user's layout cannot set
 _VIEWS = {StereoScene: ("left", "right"), RgbdScene: ("color", "depth")}
 
 Texts = dict[str, str]
@@ -501,17 +502,17 @@ def rows_in_file(path: Path) -> tuple[LayoutRow, ...]:
         if not isinstance(given, dict) or not {"left", "depth"} & given.keys():
             raise ConfigError(f"{path}: {title}: expected roles and file names, left or depth among them")
         kind: type[Scene] = StereoScene if "left" in given else RgbdScene
-        types = {each.name: str(each.type) for each in fields(kind) if each.name not in _OWN_FIELDS}
+        hints = get_type_hints(kind)
+        types = {each.name: hints[each.name] for each in fields(kind) if each.name not in _OWN_FIELDS}
         files: dict[str, str] = {}
         values: dict[str, Any] = {"protocol": "middlebury_v2" if kind is StereoScene else "depth", "name": ""}
-        hints = get_type_hints(kind)
         for key, value in given.items():
-            if "Path" not in types.get(key, "") and not str(key).startswith(_MASK):
+            if types.get(key) not in _FILE_TYPES and not str(key).startswith(_MASK):
                 if key not in types:
                     known = ", ".join(sorted([*types, f"{_MASK}NAME"]))
                     raise ConfigError(f"{path}: {title}: no field is called {key!r}; one of: {known}")
                 try:
-                    values[key] = TypeAdapter(hints[key]).validate_python(value)
+                    values[key] = TypeAdapter(types[key]).validate_python(value)
                 except ValidationError as error:
                     raise ConfigError(f"{path}: {title}: {key}: {error.errors()[0]['msg']}") from error
             elif key == _MASKS and "{mask}" not in str(value):
