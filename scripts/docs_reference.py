@@ -17,7 +17,6 @@ from typing import Any
 
 import _env  # first: continues in the checkout's environment
 import typer
-import yaml
 
 import depthcli
 from depthcli import testing
@@ -27,6 +26,7 @@ from depthcli.core.config_file import find_config, list_presets
 from depthcli.core.errors import EXIT_CODES
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP, VOLUME_STATUS_HELP
 from depthcli.core.method import Family
+from depthcli.core.yaml_source import read_config
 from depthcli.evaluation import protocols
 from depthcli.evaluation.evaluate import RESULTS
 from depthcli.io.formats.files import RUN_FILE
@@ -78,7 +78,7 @@ OUTPUTS = {
     "Exit codes": {str(code): text for code, text in EXIT_CODES.items()},
 }
 REFERENCE = _env.ROOT / "docs" / "reference"
-COLUMNS = yaml.safe_load((_env.ROOT / "scripts" / "report_columns.yaml").read_text("utf-8")) | {
+COLUMNS = read_config(_env.ROOT / "scripts" / "report_columns.yaml").data | {
     heading: {term.headings: term.about for term in named}
     for heading, named in {
         "Metrics (evaluate)": terms.METRICS,

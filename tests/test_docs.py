@@ -89,6 +89,18 @@ def test_the_reference_is_up_to_date():
     assert not stale, "run scripts/docs_reference.py"
 
 
+def test_every_column_of_a_preset_is_explained():
+    """By the table of its command; the N of ``weight_N`` stands for anything."""
+    for preset, figures_of in json.loads((ROOT / "tests" / "outputs" / "maps.json").read_text("utf-8")).items():
+        command = preset.partition(" ")[0]
+        headings = [key for title, rows in docs_reference.COLUMNS.items()
+                    if title == "Every run" or command in re.split(", | ", title) for key in rows]  # fmt: skip
+        names = "|".join(name for key in headings for name in key.partition(" [")[0].split(", "))
+        known = re.compile(re.sub(r"NAME|STAGE|N\b", ".+", names))
+        missing = [name for name in figures_of.get("columns", "").split() if not known.fullmatch(name)]
+        assert not missing, preset
+
+
 def test_every_link_leads_somewhere_in_the_repository():
     """Pages, headings, pictures and other files, as a code host shows them."""
     pages = [*ROOT.glob("*.md"), *DOCS.rglob("*.md"), ROOT / "scripts" / "README.md"]
