@@ -167,7 +167,7 @@ class RefineKinect(DepthProblem[FrameOrSequence, RefineKinectConfig]):
         return cast("Sequence[FrameOrSequence]", sequences(frames)) if carries else frames
 
     def compute(self, scene: FrameOrSequence, folder: Path, context: Context) -> Outcome:
-        """Refine a frame, or each frame of a sequence into its own folder; a sequence's facts are means."""
+        """Refine a frame, or each frame of a sequence into its own folder; numbers of a sequence are means."""
         if isinstance(scene, RgbdScene):
             return super().compute(scene, folder, context)
         along = replace(self, step=frame_by_frame(self.config.pipeline))
@@ -184,9 +184,9 @@ class RefineKinect(DepthProblem[FrameOrSequence, RefineKinectConfig]):
         if not outcomes:
             raise InputError(problems[0])
         facts = {"frames": len(outcomes), "frames_failed": len(problems), **outcomes[0].facts}
-        for key, value in outcomes[0].facts.items():
-            if isinstance(value, float):
-                facts[key] = round(sum(each.facts[key] for each in outcomes) / len(outcomes), 6)
+        for key in dict.fromkeys(key for each in outcomes for key in each.facts):
+            if known := [value for each in outcomes if isinstance(value := each.facts.get(key), float)]:
+                facts[key] = round(sum(known) / len(known), 6)
         if "motion" in facts:
             runs = itertools.groupby(each.facts["motion"] for each in outcomes)
             facts["motion"] = ", ".join(f"{len(list(run))} {motion}" for motion, run in runs)

@@ -141,7 +141,6 @@ def _section_data(section: Section, folder: Path) -> dict[str, Any]:
     headline, runs, order = section.protocol.headline, section.runs, section.ranking.runs
     figures = {run: section.overall(run).value for run in runs}
     known = [run for run in order if not math.isnan(figures[run])]
-    longest = max((figures[run] for run in known), default=0.0) or 1.0
     keys = dict.fromkeys([*((headline, region) for region in section.regions), *section.keys])
     n_keys = max(1, _MAX_CELLS // max(1, len(section.scenes) * len(runs)), len(section.regions))
     narrow = [table for table in tables.section_tables(section) if table.name != "bounds"]
@@ -154,13 +153,20 @@ def _section_data(section: Section, folder: Path) -> dict[str, Any]:
         "order": order,
         "known": known,
         "rows": [runs.index(run) for run in order],
-        "bars": {run: 100 * figures[run] / longest if run in known else 0.0 for run in runs},
+        "bars": _bars(figures),
         "wide": [(*key, tables.wide_by_scene(section, key)) for key in list(keys)[:n_keys]],
         "plots": {
             caption: f"data:image/svg+xml;base64,{base64.b64encode(plot.svg.encode()).decode('ascii')}"
             for caption, plot in drawn.items()
         },
     }
+
+
+def _bars(figures: Mapping[str, float]) -> dict[str, float]:
+    """Return the lengths of the bars of a headline, percent of the longest; 0: unknown, or a negative correlation."""
+    lengths = {run: max(figure, 0.0) if not math.isnan(figure) else 0.0 for run, figure in figures.items()}
+    longest = max(lengths.values(), default=0.0) or 1.0
+    return {run: 100 * length / longest for run, length in lengths.items()}
 
 
 def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:

@@ -216,8 +216,7 @@ def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str, any
     Parameters
     ----------
     lines : NaN leaves a gap. From the ninth line on, colors are used again, with dashed lines. A line without a name
-        is not
-    in the legend
+        is not in the legend
     title, x_label, y_label : plain text
     any_names : fit the margins to names of any length, which takes twice the time
     """

@@ -10,9 +10,14 @@ import pytest
 
 import depthcli
 from depthcli.cli import main
+from depthcli.core.context import Context
 from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.volumes import read_volume
+from depthcli.io.scenes import RgbdScene, SequenceScene
+from depthcli.problems.inputs import load_config
+from depthcli.problems.kinect import RefineKinect, RefineKinectConfig
+from depthcli.run.job import Outcome
 from depthcli.simulate.deformed_volumes import make_deformed_pair
 from tests.command_line import contents
 from tests.golden import refused, saying
@@ -32,6 +37,17 @@ def test_a_cloud_is_that_of_the_command(tmp_path: Path, made_kinect: Path):
     assert contents(tmp_path / "python") == contents(tmp_path / "run" / "planes")
     found.to_points("measured", far=50).save(tmp_path / "own.ply")
     assert (tmp_path / "own.ply").read_bytes() == (tmp_path / "python" / "points.ply").read_bytes()
+
+
+def test_the_numbers_of_a_sequence_are_means_of_the_frames_that_have_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    rows = iter([{"density": 0.5, "median_bound": None}, {"density": 1.0, "median_bound": 0.25}])
+    monkeypatch.setattr("depthcli.problems.frames.DepthProblem.compute", lambda *_: Outcome(dict(next(rows))))
+    frames = tuple(RgbdScene(name=f"s/{k}", folder=tmp_path, color=None, depth=tmp_path) for k in range(2))
+    job = RefineKinect(load_config(RefineKinectConfig, "sequence"))
+    found = job.compute(SequenceScene(name="s", folder=tmp_path, frames=frames), tmp_path, Context(1 << 30, "s"))
+    assert found.facts == {"frames": 2, "frames_failed": 0, "density": 0.75, "median_bound": 0.25}
 
 
 def test_a_result_describes_itself_and_codes_are_depths_by_their_scale(made_kinect: Path):

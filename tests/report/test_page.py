@@ -3,6 +3,7 @@
 import base64
 import csv
 import json
+import math
 import re
 import shutil
 from dataclasses import replace
@@ -29,7 +30,7 @@ from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.volume_pairs import RegistrationTruth
 from depthcli.report.contact_sheet import ContactSheet
 from depthcli.report.packing import pack, pack_bytes, thinned, unpack
-from depthcli.report.page import Page
+from depthcli.report.page import Page, _bars
 from depthcli.report.scene_view import slices
 from depthcli.show.view import WRONG, kind_colors, map_colors
 from tests.golden import Same, svg_words, told
@@ -91,6 +92,11 @@ def read(folder: Path) -> Reader:
     reader.close()
     assert reader.open == []
     return reader
+
+
+def test_bars_of_negative_headlines():
+    assert _bars({"a": 0.5, "b": -0.5, "c": math.nan}) == {"a": 100, "b": 0, "c": 0}
+    assert _bars({"a": -0.5, "b": -0.25}) == {"a": 0, "b": 0}
 
 
 def test_curves_and_legends_lie_beside_the_page(made: Path):

@@ -46,6 +46,7 @@ _NEEDS_MAPS: dict[str, LiteralString] = {
 }
 _OWN_CONFIDENCES = ("consensus", *_NEEDS_MAPS)
 _MAX_VOTED_COST = 4080  # 16 x 255, the fixed point of aggregated costs, which scanline optimizers can sum
+_MIN_LIGHT = np.float32(1e-30)  # a measure that is chosen alone keeps its weight in any light
 Volumes = Mapping[str, NDArray[Any]]
 """File name of a measure -> (H, W, D) costs."""
 
@@ -264,7 +265,7 @@ class Fusion(AdjustingMatcher):
         ballot = self._ballot(parts, pair, light, clock) if counted or vote else None
         weights = measure_weights(self.weights, ballot, self.exponent, (len(parts), *pair.shape))
         if light is not None:
-            weights = weights * light
+            weights = weights * np.maximum(light, _MIN_LIGHT)
             weights /= weights.sum(axis=0, keepdims=True)
         clock.start("aggregation")
         if self.weights == "vote":

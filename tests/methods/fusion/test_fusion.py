@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -27,6 +29,13 @@ def soft_pair(height=40, width=70):
     """A soft texture at disparity 7."""
     wide = cv2.GaussianBlur(texture((height, width + 7, 3)), (0, 0), 1.0)
     return StereoPair(np.ascontiguousarray(wide[:, :width]), np.ascontiguousarray(wide[:, 7:]))
+
+
+def test_a_measure_chosen_alone_counts_where_no_light_is_trusted(monkeypatch: pytest.MonkeyPatch):
+    one = np.array([1, 0, 0, 0], np.float32)[:, None, None]
+    monkeypatch.setattr("depthcli.methods.fusion.pipeline.measure_weights", lambda *_: np.tile(one, (1, 40, 70)))
+    pair = replace(soft_pair(), light_trust=np.zeros((40, 70), np.uint8))
+    np.testing.assert_array_equal(fusion(weights="select").fuse(pair, 12).weights, np.tile(one, (1, 40, 70)))
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
