@@ -321,7 +321,7 @@ class RunOptions(Printing):
     @cached_property
     def conditions(self) -> list[Condition]:
         """The conditions of ``--flag``. Raise ConfigError if one is wrong, or ``--fail-flagged`` has none."""
-        return conditions_of(self.flag, self.fail_flagged)
+        return conditions_of(self.flag) if self.flag or self.fail_flagged else []
 
     @cached_property
     def execution(self) -> Execution:

@@ -17,7 +17,7 @@ from depthcli.commands._options import (
     TableOptions,
 )
 from depthcli.core.config_file import config_with_options, dump_config
-from depthcli.core.errors import InputError
+from depthcli.core.errors import SOME_FAILED, InputError
 from depthcli.core.memory import BASE_BYTES
 from depthcli.core.text import one_line, show_bytes
 from depthcli.core.yaml_source import to_yaml
@@ -131,7 +131,10 @@ def run_job(
         from depthcli.commands._scores import evaluated
 
         evaluation = evaluated(job, scenes, rows, options, source)
-    flags = flag_rows(options.conditions, rows, reporter) if evaluation is None else evaluation.flags
+    if evaluation is None:
+        flags = flag_rows(options.conditions, rows, reporter) if options.conditions else Flags()
+    else:
+        flags = evaluation.flags
     _print_results(job, rows, options, evaluation, flags)
     total = len(scenes) if how.shard is None else len(rows)
     reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {options.output}")
@@ -143,8 +146,9 @@ def run_job(
         reporter.info("the process that ends last evaluates the run")
     if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
         return 1
-    incomplete = failed or missing or (evaluation is not None and evaluation.incomplete)
-    return flags.exit_code(bool(incomplete), options.fail_flagged, all_rows=how.shard is None and not elsewhere)
+    if failed or missing or (evaluation is not None and evaluation.incomplete):
+        return SOME_FAILED
+    return flags.exit_code(all_rows=how.shard is None and not elsewhere) if options.fail_flagged else 0
 
 
 def _print_plan(job: SceneJob[SceneT], scenes: Sequence[SceneT], options: RunOptions) -> None:
@@ -216,7 +220,7 @@ def _print_results(
     reporter = options.reporter
     evaluation = evaluation if evaluation is not None and evaluation.results else None
     if options.json:
-        document = report_document(job.command, rows) | flags.to_dict()
+        document = report_document(job.command, rows) | (flags.to_dict() if options.conditions else {})
         reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
         return
     if evaluation is not None:

@@ -23,7 +23,7 @@ from depthcli.report.page import Page
 from depthcli.report.tables import check_names, chosen_text, headline_text
 from depthcli.report.without_truth import RunWithoutTruth
 from depthcli.run.console import Reporter
-from depthcli.run.flags import flag_rows
+from depthcli.run.flags import Flags, flag_rows
 from depthcli.run.folder import EVALUATION, staging_folder
 from depthcli.run.job import SceneT
 from depthcli.run.records import read_text
@@ -51,7 +51,8 @@ def evaluated(
         return evaluate_runs([options.output], judged, local(truth), output, choices)
     shows = ": the page shows the maps without scores" if options.html else ", nothing to compare with"
     reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
-    flags, runs = flag_rows(conditions, rows, reporter), tuple(run_names([options.output]))
+    flags = flag_rows(conditions, rows, reporter) if conditions else Flags()
+    runs = tuple(run_names([options.output]))
     report = EvaluationReport(runs, (), {}, "" if truth is None else origin(truth), flags=flags)
     if shown is not None:
         page = Page(reporter.command_line, run=shown)

@@ -28,7 +28,7 @@ from depthcli.commands._options import (
     TableOptions,
     local_output,
 )
-from depthcli.core.errors import ConfigError
+from depthcli.core.errors import SOME_FAILED, ConfigError
 from depthcli.run.flags import conditions_of
 from depthcli.show.table import to_json
 
@@ -86,7 +86,7 @@ def evaluate(
         scored_by,
         settings,
         {run: naming.over(MapNaming(of_all.pattern)) for run, naming in own.items()},
-        conditions=conditions_of(flag, fail_flagged),
+        conditions=conditions_of(flag) if flag or fail_flagged else (),
         with_pairs=compare == "all",
         viewers=viewers(reporter, output, html, html_budget),
         reporter=reporter,
@@ -102,4 +102,6 @@ def evaluate(
             reporter.data(report.flags.text())
     if output is not None:
         print_place(report, output, html, reporter)
-    return report.flags.exit_code(report.incomplete, fail_flagged)
+    if report.incomplete:
+        return SOME_FAILED
+    return report.flags.exit_code() if fail_flagged else 0

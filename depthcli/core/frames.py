@@ -86,11 +86,17 @@ class StereoPair:
     @cached_property
     def full_range(self) -> tuple[Image, Image]:
         """Both images, scaled to the full range of their dtype."""
-        full = np.iinfo(self.left.dtype).max
-        if self.top == full:
-            return self.left, self.right
-        left, right = ((each.astype(np.uint32) * full + self.top // 2) // self.top for each in self.clamped)
-        return cast(Image, left.astype(self.left.dtype)), cast(Image, right.astype(self.left.dtype))
+        return _full_range(self.left, self.bits), _full_range(self.right, self.bits)
+
+
+def _full_range(image: Image, bits: int | None) -> Image:
+    """Return an image whose samples have ``bits`` (None: all of its dtype), scaled to the full range of its dtype."""
+    full = int(np.iinfo(image.dtype).max)
+    top = full if bits is None else (1 << bits) - 1
+    if top == full:
+        return image
+    clamped = np.minimum(image, image.dtype.type(top)).astype(np.uint32)
+    return cast(Image, ((clamped * full + top // 2) // top).astype(image.dtype))
 
 
 def luma(image: Image) -> Image:
@@ -106,7 +112,7 @@ def _eight_bit(image: Image) -> NDArray[np.uint8]:
 
 def color8(image: Image, bits: int | None = None) -> NDArray[np.uint8]:
     """Return any image as (H, W, 3) uint8 RGB; 16-bit images are scaled by their ``bits``, grey images repeated."""
-    image = _eight_bit(StereoPair(image, image, bits).full_range[0])
+    image = _eight_bit(_full_range(image, bits))
     return np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image
 
 

@@ -34,6 +34,7 @@ class Section:
     keys : all pairs of metric and region that have a score
     known : region -> scenes with known ground truth in it
     scores : (run, scene or mean) -> (metric, region) -> score
+    bounds : run -> mean scores of its error bounds, over all maps that have them; empty without such maps
     figure_regions : regions that enter the single figure of a run: regions of the protocol that all scenes have, so
         that every scene counts alike; if there are none, the main region
     """
@@ -62,6 +63,7 @@ class Section:
         for run in runs:
             for place in self.places:
                 self.scores[run, place] = {score.key: score for score in protocol.mean(self.results_of(run, place))}
+        self.bounds = {run: bound_means([r.bounds for r in self.results_of(run) if r.bounds]) for run in runs}
         named = self.regions if protocol.averages_regions else self.regions[:1]
         self.figure_regions = [name for name in named if len(self.known[name]) == len(self.scenes)] or named[:1]
         self.figure_keys: list[Key] = [(protocol.headline, region) for region in self.figure_regions]
@@ -95,10 +97,6 @@ class Section:
             scores = self.scores[run, r.scene]
             scored.append(([replace(scores[key], region=keys[0][1]) for key in keys if key in scores], r.scene))
         return (self.protocol.pooled(scored) or [self.score(run, place, keys[0])])[0]
-
-    def bounds(self, run: str) -> list[Score]:
-        """Return the mean scores of error bounds, over all maps that have them."""
-        return bound_means([r.bounds for r in self.results_of(run) if r.bounds])
 
     def threshold_curve(self, run: str) -> list[Score]:
         """Return one metric at many thresholds over all scenes, by the protocol's rule."""
@@ -151,9 +149,8 @@ class Section:
                 ):
                     where["scene"] = place.replace("mean", self.protocol.presentation.mean_heading)
                     rows.append(record(where, self.score(run, place, key), note=note))
-            bounds = self.bounds(run)
             note = f"over {sum(bool(r.bounds) for r in self.results_of(run))} maps with bounds"
-            rows += [record(where | {"scene": MEAN}, score, note=note) for score in bounds]
+            rows += [record(where | {"scene": MEAN}, score, note=note) for score in self.bounds[run]]
         return rows
 
     def to_dict(self, with_pairs: bool) -> dict[str, list[dict[str, Any]]]:
@@ -172,7 +169,7 @@ class Section:
             score, common = self.overall(run), {"value_common": self.overall(run, COMMON_MEAN).value}
             row = where | score.row() | self.counts(run, score.region) | common | statistic
             parts["headlines"].append(row | {"mask": "+".join(self.figure_regions)})
-            parts["bounds"] += [where | score.row() for score in self.bounds(run)]
+            parts["bounds"] += [where | score.row() for score in self.bounds[run]]
             if curve := self.threshold_curve(run):
                 m = curve[0].metric
                 parts["by_threshold"].append({
@@ -274,7 +271,7 @@ class EvaluationReport:
             **parts,
             "failed": [{"run": r.run, "scene": r.scene, "reason": r.error} for r in self.failed],
             "warnings": self.warnings(),
-            **self.flags.to_dict(),
+            **(self.flags.to_dict() if self.flags.conditions else {}),
             **({"unwritten": self.unwritten} if self.unwritten else {}),
             **({"pairs": pairs} if self.with_pairs else {}),
         }

@@ -199,11 +199,6 @@ class HiddenPixels(NamedTuple):
     pixels: int
 
     @classmethod
-    def of(cls, marked: NDArray[np.bool_], true: NDArray[np.bool_]) -> HiddenPixels:
-        """Count pixels (N,)."""
-        return cls(int(np.sum(marked & true)), int(np.sum(marked)), int(np.sum(true)), marked.size)
-
-    @classmethod
     def pooled(cls, parts: Iterable[HiddenPixels]) -> HiddenPixels:
         """Return the numbers of all parts together."""
         return cls(*map(sum, zip(*parts, strict=True)))
@@ -226,5 +221,5 @@ def hidden_pixels(status: NDArray[np.uint8], regions: Mapping[str, NDArray[np.bo
     known, hidden = regions["all"], regions["all"] & ~regions["nonocc"]
     if not hidden.any():
         return None
-    marked = (status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
-    return HiddenPixels.of(marked[known], hidden[known])
+    marked = ((status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0) & known
+    return HiddenPixels(*(int(np.count_nonzero(each)) for each in (marked & hidden, marked, hidden, known)))

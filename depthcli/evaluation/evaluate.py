@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.bound import Bound
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.core.plugins import Plugin, loaded, plugins_of, versions_here
+from depthcli.core.plugins import loaded, plugins_of, versions_here
 from depthcli.evaluation.bounds import judged, promised
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.curves import hidden_pixels
@@ -281,10 +281,10 @@ class _Scoring:
                 continue
             if not any(name in protocol.takes for protocol in protocols.values()):
                 reporter.info(f"--{name} makes no difference to {', '.join(protocols)}")
-        plugins = set[Plugin]()
+        plugins = dict[str, str]()
         if loaded:
             files = self.maps | {value for scene in scenes for value in vars(scene).values() if isinstance(value, Path)}
-            plugins = plugins_of(map(type, protocols.values())) | plugins_of_scenes(scenes, files)
+            plugins = versions_here(plugins_of(map(type, protocols.values())) | plugins_of_scenes(scenes, files))
         for name, scored in self.misfits.items():
             (scene, others), more = scored[0], f" and {len(scored) - 1} more" if len(scored) > 1 else ""
             how = "name the protocol with evaluate --protocol, in meta.json, or by --layout"
@@ -295,7 +295,7 @@ class _Scoring:
             protocols,
             origin(self.truth),
             tuple(self.hints),
-            versions_here(plugins),
+            plugins,
             unwritten=self.unwritten,
             with_pairs=self.choices.with_pairs,
         )

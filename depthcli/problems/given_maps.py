@@ -47,8 +47,8 @@ from depthcli.problems.inputs import as_image, as_map, as_pair
 from depthcli.problems.problem import MAP_FILES, Inputs, Problem, ResultT, Shown
 from depthcli.problems.results import Disparity, write_details, write_disparity
 from depthcli.run.console import Reporter
+from depthcli.run.job import available_memory, check_memory
 from depthcli.run.records import read_report
-from depthcli.run.resources import available_memory, check_memory
 from depthcli.show.table import SIZE, Row, median, number, percent, share, size_of
 from depthcli.show.view import STATUS_PALETTE, View
 

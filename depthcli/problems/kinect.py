@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from depthcli.core.cameras.camera import Intrinsics, Place
+from depthcli.core.cameras.camera import Intrinsics, Place, sensor_fb
 from depthcli.core.cameras.color_and_depth import registered
-from depthcli.core.cameras.kinect import sensor_fb
 from depthcli.core.context import Clock, Context
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.frames import RgbdFrame
@@ -35,8 +34,7 @@ from depthcli.problems.frames import DepthConfig, DepthProblem, FrameInputs, Ref
 from depthcli.problems.inputs import Overrides, as_color8, as_depth, load_config
 from depthcli.problems.problem import DEPTH_FILES, Shown
 from depthcli.run.console import Reporter
-from depthcli.run.job import Outcome
-from depthcli.run.resources import available_memory, check_memory
+from depthcli.run.job import Outcome, available_memory, check_memory
 from depthcli.show.table import SIZE, Row, number, percent, share
 from depthcli.show.view import DEPTH_STATUS_PALETTE
 

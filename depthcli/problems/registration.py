@@ -44,7 +44,7 @@ from depthcli.methods.registration.pipeline import Pipeline, RegistrationResult,
 from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from depthcli.problems.inputs import Overrides, as_volume, load_config
 from depthcli.problems.problem import Inputs, Problem, Shown
-from depthcli.run.resources import available_memory, check_memory
+from depthcli.run.job import available_memory, check_memory
 from depthcli.show.table import Column, Row, number, percent, to_csv
 from depthcli.show.volumes import draw_volumes
 

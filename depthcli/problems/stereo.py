@@ -56,7 +56,7 @@ from depthcli.problems.rectified import (
     sequence_range,
 )
 from depthcli.problems.results import Disparity
-from depthcli.run.resources import available_memory, check_memory
+from depthcli.run.job import available_memory, check_memory
 from depthcli.show.table import SIZE, Row, median, number, percent, share, size_of
 from depthcli.show.view import STATUS_PALETTE
 

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.core.cameras.camera import Intrinsics
-from depthcli.core.cameras.kinect import sensor_fb
+from depthcli.core.cameras.camera import Intrinsics, sensor_fb
 from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError, InputError
@@ -35,7 +34,7 @@ from depthcli.methods.transparent.pipeline import Pipeline
 from depthcli.problems.frames import DepthConfig, DepthProblem, FrameInputs, RefinedDepth
 from depthcli.problems.inputs import Overrides, as_color8, as_depth, as_image, as_map, load_config
 from depthcli.problems.problem import DEPTH_FILES, Shown
-from depthcli.run.resources import available_memory, check_memory
+from depthcli.run.job import available_memory, check_memory
 from depthcli.show.table import SIZE, Row, number, percent, share
 from depthcli.show.view import DEPTH_STATUS_PALETTE
 

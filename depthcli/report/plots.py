@@ -124,7 +124,7 @@ def _times(section: Section, what: str) -> str:
 def _coverage(section: Section) -> str:
     """Return the coverage of the runs' bounds against the levels that they promise; empty if all have one level."""
     key = COVERAGE, section.regions[0]
-    coverages = [(run, s) for run in section.runs for s in section.bounds(run) if (s.metric.name, s.region) == key]
+    coverages = [(run, s) for run in section.runs for s in section.bounds[run] if (s.metric.name, s.region) == key]
     lines = [Line(run, [score.metric.threshold or 0], [score.value]) for run, score in coverages]
     if len({level for line in lines for level in line.x}) < 2:
         return ""

@@ -128,7 +128,7 @@ def summary(section: Section) -> Table:
 
 def bound_tables(section: Section) -> list[Table]:
     """Return the tables of error bounds: by run and region, and the coverage by scene."""
-    means = {run: scores for run in section.runs if (scores := section.bounds(run))}
+    means = {run: scores for run, scores in section.bounds.items() if scores}
     if not means:
         return []
     title = f"{section.data_set} - bounds of the error"

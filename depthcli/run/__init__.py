@@ -12,6 +12,6 @@
 
 If a run is killed, the same command recognizes its files and resumes.
 
-Others: ``job`` is the interface of a command, ``console`` the output on the terminal, ``resources`` cores and memory,
-``flags`` the conditions of ``--flag``.
+Others: ``job`` is the interface of a command, and the options, cores and memory of a run, ``console`` the output on the
+terminal, ``flags`` the conditions of ``--flag``.
 """

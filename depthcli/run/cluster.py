@@ -19,8 +19,8 @@ from depthcli.core.context import Latest
 from depthcli.core.errors import RESUME, ConfigError, IncompleteError
 from depthcli.core.plugins import load_plugin, loaded
 from depthcli.kernels.jit import CompileWatch
-from depthcli.run import resources
 from depthcli.run.console import Reporter
+from depthcli.run.job import available_memory
 from depthcli.run.records import digest, file_digest
 from depthcli.run.scene import BUG, Task, Work, compute_scene
 from depthcli.run.workers import counted, report_compilation, use_threads
@@ -148,7 +148,7 @@ def _compute_there(modules: Iterable[str], data: bytes) -> tuple[Row, int, float
         use_threads(work.how.threads or worker.state.nthreads)
         # A worker that seemed dead may still compute the scene in its own folder.
         own = replace(task, hidden=task.hidden.with_name(f"{task.hidden.name}-{os.getpid()}-{time.time_ns():x}"))
-        limit = work.how.max_memory or resources.available_memory()
+        limit = work.how.max_memory or available_memory()
         latest = worker.__dict__.setdefault("depthcli_latest", Latest())  # kept as long as the worker lives
         finish, kernels, seconds = counted(partial(compute_scene, own, work, limit, latest), watch)
         return finish(), kernels, seconds

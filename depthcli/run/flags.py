@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from depthcli.core.errors import FLAGGED, SOME_FAILED, ConfigError
+from depthcli.core.errors import FLAGGED, ConfigError
 from depthcli.core.text import did_you_mean
 from depthcli.run.console import Reporter
 from depthcli.show.table import aligned
@@ -31,12 +31,12 @@ class Condition(NamedTuple):
         return f"{self.column}{self.comparison}{self.limit:g}"
 
 
-def conditions_of(texts: Sequence[str] | None, fail_flagged: bool) -> list[Condition]:
-    """Return the conditions in the texts. Raise ConfigError if one is wrong, or if --fail-flagged has none."""
-    if fail_flagged and not texts:
+def conditions_of(texts: Sequence[str] | None) -> list[Condition]:
+    """Return the conditions in the texts. Raise ConfigError if one is wrong, or if there is none."""
+    if not texts:
         raise ConfigError("--fail-flagged needs a condition, such as --flag 'measured<0.6'")
     made = []
-    for text in texts or ():
+    for text in texts:
         try:
             column, comparison, limit = found.groups() if (found := _CONDITION.fullmatch(text)) else ("", "", "nan")
             number = float(limit)
@@ -65,9 +65,8 @@ class Flags(NamedTuple):
     unanswered: tuple[str, ...] = ()  # conditions without a value in any row, e.g. a misspelled column
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON, or an empty dict without conditions."""
-        flagged = [{k: v for k, v in each._asdict().items() if k != "run" or v} for each in self.flagged]
-        return {"flagged": flagged} if self.conditions else {}
+        """Return plain values for JSON."""
+        return {"flagged": [{k: v for k, v in each._asdict().items() if k != "run" or v} for each in self.flagged]}
 
     def text(self) -> str:
         """Return the number and table of flagged rows for a terminal."""
@@ -76,11 +75,9 @@ class Flags(NamedTuple):
         table = [aligned([(*names, "why"), *rows], [False] * (len(names) + 1))] if rows else []
         return "\n".join(["", f"flagged: {len(rows) or 'none'} of {self.n_rows}", *table, ""])
 
-    def exit_code(self, failed: bool, fail_flagged: bool, all_rows: bool = True) -> int:
-        """Return the exit code of a command. Without ``all_rows``, other processes may have the missing values."""
-        if failed:
-            return SOME_FAILED
-        return FLAGGED if fail_flagged and (self.flagged or (self.unanswered and all_rows)) else 0
+    def exit_code(self, all_rows: bool = True) -> int:
+        """Return the exit code by ``--fail-flagged``. Without ``all_rows``, other processes may have missing values."""
+        return FLAGGED if self.flagged or (self.unanswered and all_rows) else 0
 
 
 def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]], reporter: Reporter) -> Flags:
@@ -88,8 +85,6 @@ def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]
 
     Rows have a ``scene`` and may have a ``run``. Warn about conditions without a value in some or all rows.
     """
-    if not conditions:
-        return Flags(n_rows=len(rows))
     reasons: list[list[str]] = [[] for _ in rows]
     distances: list[list[float]] = [[] for _ in rows]
     unanswered = []

@@ -31,9 +31,8 @@ from depthcli.core.text import show_bytes, without_secrets
 from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.files import collected_warnings, file_states, shown
 from depthcli.io.scenes import Scene
-from depthcli.run import resources
 from depthcli.run.folder import TITLE
-from depthcli.run.job import Execution, Job, Outcome
+from depthcli.run.job import Execution, Job, Outcome, peak_memory, reset_peak
 from depthcli.run.records import Record, digest, digests_below, file_digest, install, record_failure
 from depthcli.show.table import Row
 
@@ -99,7 +98,7 @@ class Task:
         """Return the row of a computed scene; ``used`` has the time and memory of external programs."""
         row: Row = {"scene": self.scene.name, "status": "done", "error": "", **outcome.facts}
         row["seconds"] = {name: round(value, 6) for name, value in outcome.seconds.items()}
-        row |= {"peak_memory": resources.peak_memory(), **used, "source": self.source}
+        row |= {"peak_memory": peak_memory(), **used, "source": self.source}
         return row | {"warnings": list(dict.fromkeys([*outcome.warnings, *warnings]))}
 
     def failed(self, error: str) -> Row:
@@ -134,7 +133,7 @@ def compute_scene(task: Task, work: Work, limit: int, latest: Latest | None = No
 
     ``latest`` has results that the scenes of this process share.
     """
-    resources.reset_peak()
+    reset_peak()
     opened, done = None, False
     with collected_warnings() as lines:
         try:

@@ -32,9 +32,8 @@ from depthcli.core.memory import BASE_BYTES
 from depthcli.core.plugins import load_plugin, loaded
 from depthcli.io.scenes import Scene
 from depthcli.kernels.jit import CompileWatch, cache_folder, set_threads
-from depthcli.run import resources
 from depthcli.run.console import Reporter, silence_warnings
-from depthcli.run.job import Execution, Job
+from depthcli.run.job import Execution, Job, cores
 from depthcli.run.scene import Task, Work, compute_scene
 from depthcli.show.table import Row
 
@@ -147,12 +146,12 @@ def n_processes(
     """
 
     def seconds(jobs: int) -> float:
-        return start * (jobs > 1) + math.ceil(left / jobs) * max(took, busy * jobs / resources.cores())
+        return start * (jobs > 1) + math.ceil(left / jobs) * max(took, busy * jobs / cores())
 
     def soonest(most: int) -> int:
         return min(range(1, most + 1), key=seconds, default=1)
 
-    jobs = soonest(min(left, resources.cores() // (how.threads or 1)))
+    jobs = soonest(min(left, cores() // (how.threads or 1)))
     if jobs == 1 or (bound := need()) is None:
         return 1
     return soonest(min(jobs, how.memory_each() // (bound + _PROCESS_BYTES)))

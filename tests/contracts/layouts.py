@@ -4,6 +4,7 @@ from pathlib import Path
 
 from depthcli.io.scenes import Folder, Layout, Scene
 from depthcli.io.scenes.find import ALL_KINDS
+from depthcli.io.scenes.rows import fitting
 from tests.scenes import load
 
 
@@ -22,4 +23,5 @@ def check_layout(name: str, folder: Path) -> None:
 
 
 def _scenes(layout: Layout, folder: Path) -> list[Scene]:
-    return layout.scenes(Folder(folder, folder.name, ""))
+    here = Folder(folder, folder.name, "")
+    return [scene for each in fitting((layout,), here.names) for scene in each.scenes(here)]

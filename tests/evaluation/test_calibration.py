@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.evaluation.curves import N_BINS, HiddenPixels, Reliability, reliability
+from depthcli.evaluation.curves import N_BINS, HiddenPixels, Reliability, hidden_pixels, reliability
 from depthcli.evaluation.map_files import DisparityFiles
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import read_grey, write_png
@@ -46,7 +46,9 @@ def test_pooled_is_that_of_all_pixels_together():
 
 
 def test_hidden_pixels_by_hand():
-    found = HiddenPixels.of(np.array([1, 1, 1, 0, 0], bool), np.array([1, 0, 0, 1, 0], bool))
+    known = np.array([[1, 1, 1, 1, 1, 0]], bool)
+    status = np.array([[1, 4, 1, 0, 0, 1]], np.uint8)  # occluded, or out of range
+    found = hidden_pixels(status, {"all": known, "nonocc": np.array([[0, 1, 1, 0, 1, 0]], bool)})
     assert found == HiddenPixels(both=1, marked=3, true=2, pixels=5)
     shares = found.shares()
     expected = {"precision": 33.33, "recall": 50, "F1": 40, "said": 60, "true": 40}

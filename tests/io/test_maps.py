@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from depthcli.core.cameras.camera import Intrinsics
-from depthcli.core.cameras.kinect import kinect_v1
 from depthcli.core.errors import InputError
 from depthcli.io.formats.depth import SENSOR, implausible_depth, read_depth, write_depth_png, write_points
 from depthcli.io.formats.disparity import (
@@ -31,7 +30,7 @@ from depthcli.io.formats.disparity import (
 )
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.rgbd_frames import read_kinect_raw
+from depthcli.io.rgbd_frames import kinect_v1, read_kinect_raw
 from depthcli.problems.inputs import as_depth, as_image, as_map, as_volume
 from tests.golden import refused, saying
 from tests.scenes import DATA, needs_data

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 import depthcli
 from depthcli.core.cameras.camera import Camera
-from depthcli.core.cameras.kinect import KinectCalibration
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.errors import InputError
@@ -22,6 +21,7 @@ from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_grey, write_png
 from depthcli.io.rgbd_frames import (
+    KinectCalibration,
     frame_size,
     load_infrared_frame,
     load_sparse_frame,

@@ -607,7 +607,7 @@ def test_files_are_kept_by_their_paths_and_memory_is_shared(tmp_path: Path):
     ],
 )
 def test_how_many_processes_finish_first_on_eight_cores(left, took, busy, options, need, found, monkeypatch):
-    monkeypatch.setattr(workers.resources, "cores", lambda: 8)
+    monkeypatch.setattr(workers, "cores", lambda: 8)
     how = Execution(**{"jobs": None, "max_memory": 64 << 30} | options)
     assert workers.n_processes(how, left, took, busy, lambda: need) in found
 
@@ -627,7 +627,7 @@ def test_many_scenes_are_computed_in_copies_of_the_process(tmp_path: Path):
         from depthcli.run import workers
         from tests.run.test_runner import Folder, Repeat
         Repeat.memory = lambda self, scene: 0
-        workers._MIN_SCENES, workers.resources.cores = 2, lambda: 2
+        workers._MIN_SCENES, workers.cores = 2, lambda: 2
         folder = Folder(Path({str(tmp_path)!r}))
         folder.texts |= {{"a": "compiles", "b": "damaged", "c": "killed", "d": f"killed once {tmp_path / "mark"}"}}
         assert workers._may_fork()

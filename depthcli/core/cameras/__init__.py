@@ -6,5 +6,4 @@
 | ``rig`` | ``Rig``: two cameras at fixed places; ``RectifiedRig``: both turned so that rows correspond |
 | ``triangulation`` | ``PairGeometry``, the numbers by which a rectified pair's disparity becomes depth, and back |
 | ``color_and_depth`` | ``ColorAndDepth``: a depth camera's map in the pixels of the color camera next to it |
-| ``kinect`` | ``KinectCalibration``: the same for raw codes of the first Kinect |
 """

@@ -19,6 +19,12 @@ _MAX_TRANSLATION = 1.0  # meters between the cameras of one sensor; a longer one
 # camera is calibrated for have it at 1/4, images of 3/2 the size at 1/6.
 _MAX_OFF_CENTER = 0.15
 
+KINECT_BASELINE = 0.075
+"""Distance of projector and depth camera in the first Kinect and in sensors of the same design, meters."""
+
+KINECT_FOCAL_LENGTH = 580.0
+"""Of the first Kinect's depth camera, pixels of its 640 x 480 images."""
+
 
 @dataclass(frozen=True)
 class Intrinsics:
@@ -70,6 +76,11 @@ def typical_intrinsics(width: int, height: int) -> Intrinsics:
     """Return the defaults of drivers of Kinect v1 and similar: 525 pixels at a width of 640, the image center."""
     focal = 525.0 * width / 640
     return Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+
+def sensor_fb(camera: Intrinsics | None) -> float:
+    """Return focal length x baseline of a Kinect whose depth is registered to ``camera``, or stays in its own one."""
+    return (camera.fx if camera else KINECT_FOCAL_LENGTH) * KINECT_BASELINE
 
 
 Place = tuple[tuple[float, ...], tuple[float, ...]]

@@ -20,7 +20,7 @@ from depthcli.io.scenes.frames import FRAMES, named_frame
 from depthcli.io.scenes.kinds import RgbdScene, Scene, StereoScene, VolumePairScene
 from depthcli.io.scenes.pairs import PAIRS, STDIN, named_pairs, scenes_of_table, suggested_patterns
 from depthcli.io.scenes.places import is_archive, local
-from depthcli.io.scenes.rows import Folder, Layout, Layouts, SceneT, rows_in_file
+from depthcli.io.scenes.rows import Folder, Layout, Layouts, SceneT, fitting, rows_in_file
 from depthcli.io.scenes.volumes import VOLUMES, named_volumes
 
 ALL_KINDS = Layouts.of(Scene, *PAIRS.rows, *FRAMES.rows, *VOLUMES.rows)
@@ -173,14 +173,14 @@ def discover_scenes(
     raise NoScenesError(f"{path}: no scenes found in it or two levels below (looked for {wanted})")
 
 
-def _rows(layouts: Layouts[Any], name: str) -> Sequence[Layout]:
+def _rows(layouts: Layouts[Any], name: str) -> tuple[Layout, ...]:
     """Return the layout with this name, or a YAML file's layouts of this kind of scene."""
     if name.endswith((".yaml", ".yml")):
-        return [row for row in rows_in_file(Path(name)) if issubclass(row.kind, layouts.kind)]
-    return [row for row in layouts.rows if row.name == name.lower().replace("_", "-")]
+        return tuple(row for row in rows_in_file(Path(name)) if issubclass(row.kind, layouts.kind))
+    return tuple(row for row in layouts.rows if row.name == name.lower().replace("_", "-"))
 
 
-def _find(path: Path, rows: Sequence[Layout], layout: str | None, warn: Warn) -> list[Scene]:
+def _find(path: Path, rows: tuple[Layout, ...], layout: str | None, warn: Warn) -> list[Scene]:
     """Return the scenes of a folder, or of the folders in it; ``layout`` is the option's value."""
     folder = Folder(path, path.resolve().name, "", rows[0].name if layout and rows else "")
     scenes = _scenes_of(folder, rows)
@@ -198,7 +198,7 @@ def _find(path: Path, rows: Sequence[Layout], layout: str | None, warn: Warn) ->
     return scenes
 
 
-def _scenes_below(folder: Folder, rows: Sequence[Layout], warn: Warn, level: int = 1) -> list[Scene]:
+def _scenes_below(folder: Folder, rows: tuple[Layout, ...], warn: Warn, level: int = 1) -> list[Scene]:
     """Return the scenes up to two levels below a folder; warn about deeper scenes and skipped runs.
 
     A folder that cannot be used becomes one scene with a problem.
@@ -226,10 +226,10 @@ def _scenes_below(folder: Folder, rows: Sequence[Layout], warn: Warn, level: int
     return scenes
 
 
-def _scenes_of(folder: Folder, rows: Sequence[Layout]) -> list[Scene]:
+def _scenes_of(folder: Folder, rows: tuple[Layout, ...]) -> list[Scene]:
     """Return the scenes of ``folder`` itself: one, or many if it is e.g. a KITTI root."""
     by_layout = {}
-    for row in rows:
+    for row in fitting(rows, folder.names):
         if scenes := row.scenes(folder):
             by_layout[row.name] = scenes
     if len(by_layout) > 1:
@@ -300,7 +300,7 @@ def scenes_with_files(files: Iterable[Path], layouts: Layouts[Any]) -> dict[Path
                 by_folder[place] = {}
                 with contextlib.suppress(InputError):
                     folder = Folder(place, place.name, "")
-                    inside = [scene for row in rows for scene in row.scenes(folder)]
+                    inside = [scene for row in fitting(rows, folder.names) for scene in row.scenes(folder)]
                     for scene in reversed(inside):  # the first of two scenes with the same file wins
                         by_folder[place] |= {value: scene for value in vars(scene).values() if isinstance(value, Path)}
             if path in by_folder[place]:

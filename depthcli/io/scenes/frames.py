@@ -136,10 +136,9 @@ class Tum(Layout):
         "`rgb/`, `depth/` with `associations.txt`, or `rgb.txt` and `depth.txt`; 5000 codes a meter, unless "
         "`meta.json` says it; where known `groundtruth.txt` (poses)"
     )
+    needs = ("rgb", "depth", "associations.txt|rgb.txt", "associations.txt|depth.txt")
 
     def scenes(self, folder: Folder) -> list[Scene]:
-        if not folder.has("rgb", "depth") or not (folder.has("associations.txt") or folder.has("rgb.txt", "depth.txt")):
-            return []
         if folder.has("associations.txt"):
             pairs = [(float(a), b, float(c), d) for a, b, c, d in _lines(folder.path / "associations.txt", 4)]
             if pairs and pairs[0][1].startswith("depth"):  # associate.py depth.txt rgb.txt
@@ -253,7 +252,7 @@ FRAMES = Layouts.of(
         title="sun-rgbd", kind=RgbdScene,
         about="`image/`, `depth/` and `intrinsics.txt`; with `--layout sun-rgbd` also `color.*`, `depth.*`",
         files=({"color": "image/{_}.*", "depth": "depth/{_}.*"}, {"color": "color.*", "depth": "depth.*"}),
-        facts=_sun,
+        needs=("image|color.*", "depth|depth.*"), facts=_sun,
     ),
     LayoutRow(
         title="cleargrasp", kind=RgbdScene, protocol="depth", needs=("mask_transparent.png",),

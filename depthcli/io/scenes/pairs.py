@@ -93,8 +93,7 @@ class _Eth3d(LayoutRow):
             raise InputError(
                 f"{folder.path}: a many-view scene of ETH3D, without rectified pairs; its two-view scenes can be used"
             )
-        if not (found := super().scenes(folder)):
-            return []
+        found = super().scenes(folder) if folder.has("cameras.txt", "images.txt") else []
         place = folder.path.absolute()
         truth = place.parent.with_name(f"{place.parent.name}_gt") / place.name
         if not (truth / "disp0GT.pfm").is_file():
@@ -259,7 +258,8 @@ PAIRS = Layouts.of(
         title="eth3d", protocol="eth3d",
         about="as `middlebury-v3`, with `cameras.txt`, `images.txt`; the truth in the scene's folder or in one of the "
         "same name in `two_view_training_gt`, next to `two_view_training`",
-        files=(_V3_FILES,), needs=("cameras.txt", "images.txt"), facts=_middlebury_v3,
+        files=(_V3_FILES,), needs=("cameras.txt|rig_calibration*|dslr_calibration*", "images.txt|images"),
+        facts=_middlebury_v3,
     ),
     LayoutRow(
         title="kitti-2012", protocol="kitti_2012", values=_KITTI_VALUES, single=True,

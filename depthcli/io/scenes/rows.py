@@ -176,6 +176,9 @@ class Layout(ABC):
     """The files of a scene, in one line for messages and the manual."""
     protocol: str = ""
     """Default evaluation protocol of its scenes."""
+    needs: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    """Shell patterns of names, ``|`` between alternatives: a folder has all of ``needs`` and none of ``without``."""
 
     @property
     def name(self) -> str:
@@ -184,7 +187,10 @@ class Layout(ABC):
 
     @abstractmethod
     def scenes(self, folder: Folder) -> list[Scene]:
-        """Return the scenes of ``folder`` itself, or an empty list if it does not have this layout."""
+        """Return the scenes of ``folder`` itself, or an empty list if it does not have this layout.
+
+        Only folders with the names of ``needs`` are given.
+        """
 
     def scene(self, folder: Folder, /, **values: Any) -> Scene:
         """Return a scene with these fields, without looking for its files; the default name is the folder's."""
@@ -245,7 +251,6 @@ class LayoutRow(Layout):
     kind, protocol : kind and evaluation protocol of the scenes
     facts : returns further fields of a scene, or None if the scene does not have this layout
     after : returns all scenes of a folder with further fields
-    needs, without : shell patterns of names; the folder must have all of ``needs`` and none of ``without``
     """
 
     title: str  # name on the command line
@@ -379,20 +384,26 @@ def _filled(name: str, texts: Mapping[str, str]) -> str:
 
 
 @lru_cache(maxsize=1024)  # the folders of thousands of scenes contain the same names
+def fitting(rows: tuple[Layout, ...], there: frozenset[str]) -> tuple[Layout, ...]:
+    """Return the layouts that a folder with these names may have."""
+    return tuple(row for row in rows if all(_has(there, each) for each in row.needs) and not _has(there, *row.without))
+
+
+@lru_cache(maxsize=1024)
 def _possible(row: LayoutRow, there: frozenset[str]) -> tuple[Mapping[str, str], ...]:
     """Return the variants whose images a folder with these names may have."""
-
-    def is_there(*patterns: str) -> bool:
-        return any(fnmatch.filter(there, each) for each in patterns)
-
-    if not all(map(is_there, row.needs)) or is_there(*row.without):
-        return ()
     possible = []
     for variant in row.files:
-        names = [name for role in row._views for name in variant.get(role, "").split("|")]
-        if is_there(*(_PLACEHOLDER.sub("*", name.partition("/")[0]) for name in names)):
+        images = [variant.get(role, "") for role in row._views]
+        first = (_PLACEHOLDER.sub("*", name.partition("/")[0]) for each in images for name in each.split("|"))
+        if _has(there, *first):
             possible.append(variant)
     return tuple(possible)
+
+
+def _has(there: Iterable[str], *patterns: str) -> bool:
+    """Return whether one of the names matches one of the patterns."""
+    return any(fnmatch.filter(there, name) for each in patterns for name in each.split("|"))
 
 
 def _suffixes(role: str) -> Container[str]:

@@ -33,6 +33,7 @@ class Registration(Layout):
         "in mm), `error_true.*` (mm), `mask_<region>.*` of regions that are reported apart, or a label map of several; "
         "`meta.json` (`apply`: displacement, transform or both, where there are both; `labels`: see the manual)"
     )
+    needs = ("fixed.*|moving_warped.*",)
 
     def scenes(self, folder: Folder) -> list[Scene]:
         files = {role: folder.one(role, suffixes) for role, suffixes in _SUFFIXES.items()}
