@@ -222,9 +222,10 @@ def _compare(
 ):  # fmt: skip
     count, _, width = maps.shape
     for y in range(begin, end):
+        right_row, image_row, other_row, grey_row, costs_row = right[y], image[y], other[y], grey[y], costs[y]
         along = empty(width, np.float32)
         for x in range(width):
-            curve = costs[y, x]
+            curve = costs_row[x]
             least = curve[0]
             for i in range(curve.size):
                 least = min(least, curve[i])
@@ -234,13 +235,13 @@ def _compare(
             nearest = nearest_matches(row)
             for x in range(width):
                 value = row[x]
-                along[x] = cost_between(costs[y, x], value)
+                along[x] = cost_between(costs_row[x], value)
                 outside = min(int(value), costs.shape[2] - 1) > x
                 uncut[n, y, x] = max_uncut if outside else min(along[x] * unit, max_uncut)
-                contradicted, behind, nearer, at, covered, _ = match_in_right(x, value, right[y], nearest)
+                contradicted, behind, nearer, at, covered, _ = match_in_right(x, value, right_row, nearest)
                 contradiction[n, y, x], hidden[n, y, x], difference[n, y, x] = contradicted, behind, nearer
                 column[n, y, x], occlusion[n, y, x] = at, covered
-                warped[n, y, x], color[n, y, x] = warped_right(x, value, image[y], other[y], grey[y])
+                warped[n, y, x], color[n, y, x] = warped_right(x, value, image_row, other_row, grey_row)
             for x in range(width):
                 cost[n, y, x] = min(uncut[n, y, x], max_cost)
                 excess[n, y, x] = along[x] * unit - lowest[y, x]
