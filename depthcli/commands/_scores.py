@@ -20,7 +20,7 @@ from depthcli.problems.problem import SceneJob
 from depthcli.report.contact_sheet import ContactSheet
 from depthcli.report.document import Document
 from depthcli.report.page import Page
-from depthcli.report.tables import check_names, chosen_text, headline_text
+from depthcli.report.tables import NAMES, chosen_text, headline_text
 from depthcli.report.without_truth import RunWithoutTruth
 from depthcli.run.console import Reporter
 from depthcli.run.flags import Flags, flag_rows
@@ -106,7 +106,8 @@ def check_tables(options: TableOptions) -> None:
     """Raise ConfigError for unknown formats or tables."""
     if options.format is not None and options.format not in FORMATS:
         raise ConfigError(f"--format: must be one of {', '.join(FORMATS)} (got {options.format!r})")
-    check_names(_listed(options.tables))
+    if wrong := [name for name in _listed(options.tables) if name.partition("-")[0] not in (*NAMES, "all")]:
+        raise ConfigError(f"--tables: expected all, {', '.join(NAMES)} (got {', '.join(wrong)})")
 
 
 def print_tables(report: EvaluationReport, reporter: Reporter, options: TableOptions, quiet: bool) -> None:

@@ -72,7 +72,7 @@ def evaluate(
     if maps:
         reporter.info("warning: --maps is called --pattern here, as in all commands")
     patterns = [*(coding.pattern or []), *(maps or [])]
-    of_all, own = given_naming(places, "--pattern", patterns, coding.scale, coding.invalid)
+    of_all, own = given_naming(places, patterns, coding.scale, coding.invalid)
 
     # How they are scored, and what with.
     check_tables(tables)

@@ -116,12 +116,13 @@ class Section:
     @cached_property
     def ranking(self) -> Ranking:
         """The runs from the best single figure to the worst; runs without one last, by the common scenes."""
+        if len(self.runs) == 1:
+            return Ranking(self.runs, {})
         order: list[tuple[Any, ...]] = []
         for number, run in enumerate(self.runs):
             values = (self.protocol.headline.sign * self.overall(run, place).value for place in (MEAN, COMMON_MEAN))
             order.append((*[(math.isnan(v), 0.0 if math.isnan(v) else v) for v in values], number, run))
-        ranks = self.average_rank(self.figure_keys) if len(order) > 1 else None
-        return Ranking([run for *_, run in sorted(order)], self.by_scene, ranks)
+        return Ranking([run for *_, run in sorted(order)], self.by_scene, self.average_rank(self.figure_keys))
 
     @cached_property
     def pairs(self) -> list[tuple[str, str, PairedTest, float]]:

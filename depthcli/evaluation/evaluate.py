@@ -329,7 +329,22 @@ class _Scoring:
         return list(rows.values())
 
     def _recognize_maps(self, scenes: Sequence[Scene], names: Mapping[str, list[str]]) -> None:
-        """Find the pattern of the maps of every run that has none under a usual name.
+        """Set how the maps of every run are named; the patterns of other programs' runs are recognized."""
+        for run, place in self.runs.items():
+            naming = self.naming[run] = self.choices.naming.get(run, MapNaming())
+            rows = self.reports[run]
+            if rows and not any(name in rows for known in names.values() for name in known):
+                here, there = (", ".join([*of][:3]) + ", ..." * (len(of) > 3) for of in (rows, names))
+                self.hints.append(f"{run}: a run of other scenes ({here}) than the truth ({there})")
+            if place.is_dir() and not rows:
+                self.naming[run] = self._recognized(run, place, naming, scenes, names)
+                if self.naming[run] != naming:
+                    self.hints.append(f"{run}: taken as its maps: {self.naming[run].pattern} (--pattern sets others)")
+
+    def _recognized(
+        self, run: str, place: Path, naming: MapNaming, scenes: Sequence[Scene], names: Mapping[str, list[str]]
+    ) -> MapNaming:
+        """Return the options with the pattern of a run's maps, if none has a usual name.
 
         Raise InputError if several patterns fit.
         """
@@ -348,25 +363,15 @@ class _Scoring:
             return True
 
         files = {name: (protocol.files, names[name]) for name, (_, protocol) in usable.items()}
-        for run, place in self.runs.items():
-            naming = self.naming[run] = self.choices.naming.get(run, MapNaming())
-            rows = self.reports[run]
-            if rows and not any(name in rows for known in names.values() for name in known):
-                here, there = (", ".join([*of][:3]) + ", ..." * (len(of) > 3) for of in (rows, names))
-                self.hints.append(f"{run}: a run of other scenes ({here}) than the truth ({there})")
-            if place.is_dir() and not self.reports[run]:
-                self.naming[run] = recognized(run, place, naming, files, fits)
-                if self.naming[run] != naming:
-                    self.hints.append(f"{run}: taken as its maps: {self.naming[run].pattern} (--pattern sets others)")
+        return recognized(run, place, naming, files, fits)
 
     def _reader(self, protocol: AnyProtocol, options: MapNaming) -> AnyProtocol:
         """Return the protocol with the settings of one run, by which its maps are read."""
-        settings = {name: value for name in ("scale", "invalid") if (value := getattr(options, name)) is not None}
-        return (
-            type(protocol)(replace(protocol.settings, **settings, any_scale="scale" in settings))
-            if settings
-            else protocol
-        )
+        scale, invalid, usual = options.scale, options.invalid, protocol.settings
+        if scale is None and invalid is None:
+            return protocol
+        scale, invalid = scale or usual.scale, usual.invalid if invalid is None else invalid
+        return type(protocol)(replace(usual, scale=scale, invalid=invalid, any_scale=options.scale is not None))
 
     def _protocol_of(self, scene: Scene) -> AnyProtocol:
         scene.check()

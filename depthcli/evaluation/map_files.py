@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import TypeVar
+from typing import Any
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.plugins import loaded
@@ -29,8 +29,6 @@ _OTHER_STEMS = ("left", "{scene}_left")
 
 PROBABILITY = "probability"
 """Name of the confidence in the file ``probability``."""
-
-ValueT = TypeVar("ValueT")
 
 
 @dataclass(frozen=True)
@@ -241,43 +239,32 @@ def _map_paths(folder: Path, suffixes: Sequence[str]) -> Iterator[str]:
 
 def given_naming(
     runs: Mapping[str, Path],
-    pattern_option: str,
     patterns: Sequence[str] | None,
     scales: Sequence[str] | None,
     invalids: Sequence[str] | None,
 ) -> tuple[MapNaming, dict[str, MapNaming]]:
-    """Return how maps are named and coded: the options for all runs, and run -> options for that run alone."""
-    pattern, own_pattern = _by_run(pattern_option, patterns or (), runs, _pattern_of)
-    scale, own_scale = _by_run("--scale", scales or (), runs, _positive)
-    invalid, own_invalid = _by_run("--invalid", invalids or (), runs, float)
-    by_run = {
-        run: MapNaming(own_pattern.get(run, ""), own_scale.get(run), own_invalid.get(run), run in own_scale)
-        for run in runs
-    }
-    return MapNaming(pattern or "", scale, invalid), by_run
+    """Return how maps are named and coded: for all runs, and run -> options ``NAME=VALUE`` of that run alone.
 
-
-def _by_run(
-    option: str, texts: Sequence[str], runs: Mapping[str, Path], parse: Callable[[str], ValueT]
-) -> tuple[ValueT | None, dict[str, ValueT]]:
-    """Return the value of an option for all runs, or None, and run -> value of ``NAME=VALUE`` for that run alone.
-
-    ``parse`` raises ValueError with the expected form. Raise ConfigError for a wrong value, an unknown run, or two
-    values.
+    Raise ConfigError for a wrong value, an unknown run, or two values.
     """
-    values: dict[str, ValueT] = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if equals and name not in runs:
-            raise ConfigError(f"{option} {text}: no run is called {name!r}; one of: {', '.join(runs)}")
-        name, value = (name, value) if equals else ("", text)
-        if name in values:
-            raise ConfigError(f"{option}: two values for {name or 'all runs'}")
-        try:
-            values[name] = parse(value)
-        except ValueError as error:
-            raise ConfigError(f"{option}: {error} (got {value!r})") from None
-    return values.pop("", None), values
+    options: dict[str, tuple[Sequence[str] | None, Callable[[str], Any]]] = {
+        "pattern": (patterns, _pattern_of), "scale": (scales, _positive), "invalid": (invalids, float)
+    }  # fmt: skip
+    given: dict[str, dict[str, Any]] = {run: {} for run in ("", *runs)}
+    for option, (texts, parse) in options.items():
+        for text in texts or ():
+            name, equals, value = text.partition("=")
+            if equals and name not in runs:
+                raise ConfigError(f"--{option} {text}: no run is called {name!r}; one of: {', '.join(runs)}")
+            name, value = (name, value) if equals else ("", text)
+            if option in given[name]:
+                raise ConfigError(f"--{option}: two values for {name or 'all runs'}")
+            try:
+                given[name][option] = parse(value)
+            except ValueError as error:
+                raise ConfigError(f"--{option}: {error} (got {value!r})") from None
+    of_all = MapNaming(**given.pop(""))
+    return of_all, {run: MapNaming(**own, any_scale="scale" in own) for run, own in given.items()}
 
 
 def _pattern_of(text: str) -> str:

@@ -475,7 +475,7 @@ def with_maps(
     files may be a run's map.
     """
     places, right_places = find_runs([*first, *others]), find_runs([right]) if right else {}
-    of_all, own = given_naming({**right_places, **places}, "--pattern", *coding)
+    of_all, own = given_naming({**right_places, **places}, *coding)
     of_all = replace(of_all, any_scale=len(places) == 1)
     of_rights = replace(of_all, pattern="")
     names = names_in_run([scene.name for scene in scenes], place)

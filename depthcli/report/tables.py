@@ -438,10 +438,3 @@ def chosen_text(
             raise ConfigError(f"--caption: is for one table; give --tables {' or '.join(t.name for t in tables)}")
         tables = [replace(tables[0], title=caption)]
     return "\n".join(table.text(_WIDTH) for table in tables) if form is None else FORMATS[form](tables)
-
-
-def check_names(names: Sequence[str]) -> None:
-    """Raise ConfigError if no table can have a name."""
-    wrong = [name for name in names if name.partition("-")[0] not in (*NAMES, "all")]
-    if wrong:
-        raise ConfigError(f"--tables: expected all, {', '.join(NAMES)} (got {', '.join(wrong)})")
