@@ -18,9 +18,8 @@ from depthcli.io.scenes import Scene, SequenceScene
 from depthcli.io.scenes.places import local, origin
 from depthcli.problems.problem import SceneJob
 from depthcli.report.contact_sheet import ContactSheet
-from depthcli.report.document import Document
 from depthcli.report.page import Page
-from depthcli.report.tables import NAMES, chosen_text, headline_text
+from depthcli.report.tables import NAMES, Document, chosen_text, headline_text
 from depthcli.report.without_truth import RunWithoutTruth
 from depthcli.run.console import Reporter
 from depthcli.run.flags import Flags, flag_rows

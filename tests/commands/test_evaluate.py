@@ -26,8 +26,7 @@ from depthcli.evaluation.scores import MapResult, find_score
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
-from depthcli.report.document import Document
-from depthcli.report.tables import chosen_text, headline_text, report_tables
+from depthcli.report.tables import Document, chosen_text, headline_text, report_tables
 from depthcli.run.records import Record, write_record
 from depthcli.show.view import EMPTY, NO_VALUE, RIGHT, WRONG, View, draw, kind_colors
 from tests.command_line import contents
