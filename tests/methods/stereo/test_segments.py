@@ -17,8 +17,7 @@ from depthcli.methods.stereo.keypoint_matching import Matches, consistent
 from depthcli.methods.stereo.segments import planes as energy
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, Split, grid_parts, segment_window
 from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges
-from depthcli.methods.stereo.segments.restoration import Restoration
-from depthcli.methods.stereo.segments.steps import map_with_status
+from depthcli.methods.stereo.segments.steps import Restoration, map_with_status
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.problems.results import write_details
 from depthcli.simulate.stereo_scenes import make_scene
