@@ -9,13 +9,38 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from depthcli.cli import main
 from depthcli.io.formats.files import RECORD_FILE
 from depthcli.run.records import REPORT_FILES
+from tests.golden import told
 
 
 def run(*arguments: str | Path) -> int:
     return main([str(a) for a in arguments])
+
+
+class Tool:
+    """Calls of the tool that end with a given exit code, and what each of them printed."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self.capsys = capsys
+
+    def both(self, code: int, *words: str | Path) -> tuple[str, str]:
+        self.capsys.readouterr()  # what was printed before
+        assert run(*words) == code
+        return self.capsys.readouterr()
+
+    def out(self, code: int, *words: str | Path) -> str:
+        return self.both(code, *words)[0]
+
+    def err(self, code: int, *words: str | Path) -> str:
+        return self.both(code, *words)[1]
+
+    def told(self, code: int, *words: str | Path) -> str:
+        """Return what is on stderr, and note it for the comparison with ``tests/messages.txt``."""
+        return told(self.err(code, *words))
 
 
 def in_threads(works: Sequence[Callable[[], None]]) -> None:

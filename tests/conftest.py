@@ -10,6 +10,7 @@ import pytest
 
 from depthcli.cli import main
 from tests import golden
+from tests.command_line import Tool
 
 MESSAGES = pytest.StashKey[dict[str, list[str]]]()
 
@@ -59,6 +60,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def same(request: pytest.FixtureRequest) -> golden.Same:
     """Compare a whole output with a file: ``same(name, text)``."""
     return lambda name, text: golden.same_text(name, text, request.config.getoption("renew"))
+
+
+@pytest.fixture
+def tool(capsys: pytest.CaptureFixture[str]) -> Tool:
+    return Tool(capsys)
 
 
 def sampled(place: pytest.TempPathFactory, *options: str) -> Path:

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_image
 from depthcli.kernels.cache import cache_folder
 
@@ -87,12 +88,18 @@ def saying(kind: type[BaseException]) -> Iterator[pytest.ExceptionInfo[Any]]:
     told(str(caught.value))
 
 
-def refused(kind: type[Exception], call: Callable[..., object], *arguments: Any, **options: Any) -> str:
+def refused(kind: type[Exception], call: Callable[..., object], /, *arguments: Any, **options: Any) -> str:
     """Assert that the call ends with an error of one line, with the words kept for the test; return the line."""
     with saying(kind) as caught:
         call(*arguments, **options)
     assert str(caught.value).isprintable()
     return str(caught.value)
+
+
+def warned(call: Callable[..., Any], /, *arguments: Any, **options: Any) -> tuple[Any, list[str]]:
+    """Return what the call returns, and its warnings of files."""
+    with collected_warnings() as lines:
+        return call(*arguments, **options), lines
 
 
 def same_text(name: str, text: str, renewed: bool) -> None:

@@ -57,10 +57,9 @@ def test_names_are_found_in_any_case_and_bases_are_resolved():
     assert differing == [("blend: after", "blend: before")]
 
 
-def test_presets_of_the_thesis_are_listed_by_chapter(capsys: pytest.CaptureFixture[str]):
+def test_presets_of_the_thesis_are_listed_by_chapter(tool):
     """Chapter 3 has every cost and aggregation; from chapter 4 on each preset says that it is reconstructed."""
-    assert main(["presets", "thesis"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = tool.out(0, "presets", "thesis").splitlines()
     names = [tuple(line.split()[:2]) for line in lines]
     assert set(names) == {(command, name) for command, name in PRESETS if name.startswith("thesis/")}
     costs, aggregations = ("ad", "ad-gradient", "ad-rank", "ad-census"), ("cw", "cross", "aw")
@@ -78,11 +77,10 @@ def test_presets_of_the_thesis_are_listed_by_chapter(capsys: pytest.CaptureFixtu
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("command", "name"), PRESETS)
-def test_shown_with_every_field_it_is_the_same_config(command: str, name: str, capsys: pytest.CaptureFixture[str]):
+def test_shown_with_every_field_it_is_the_same_config(command: str, name: str, tool):
     model = config_model(command)
     assert model is not None
-    assert main(["presets", "show", f"{command}/{name}"]) == 0
-    shown = capsys.readouterr().out
+    shown = tool.out(0, "presets", "show", f"{command}/{name}")
     resolved = dump_config(load_config(model, find_config(command, name)))
     assert dump_config(load_config(model, parse_config(shown, "shown"))) == resolved
     assert shown.count("#") > 3

@@ -6,7 +6,7 @@ import pytest
 from depthcli.algorithms.dense_crf import GaussianKernel, mean_field
 from depthcli.algorithms.dense_crf.permutohedral import Lattice
 from depthcli.testing.inputs import assert_pure
-from tests.golden import saying
+from tests.golden import refused
 from tests.naive import dense_crf as naive
 
 
@@ -100,5 +100,4 @@ def test_sizes_around_the_tiles(count, labels, truncation):
 
 @pytest.mark.parametrize("features", [np.full((4, 2), np.nan), np.eye(4, 6) * 1e6])
 def test_features_outside_the_lattice_are_refused(features):
-    with saying(ValueError):
-        mean_field(np.zeros((4, 3), np.float32), [GaussianKernel(features.astype(np.float32), 1.0)], 1)
+    refused(ValueError, mean_field, np.zeros((4, 3), np.float32), [GaussianKernel(features.astype(np.float32), 1.0)], 1)

@@ -18,7 +18,7 @@ from depthcli.io.formats.images import read_image, write_png
 from tests import boards
 from tests.boards import SIZE, SQUARE
 from tests.command_line import run
-from tests.golden import refused, told
+from tests.golden import refused
 
 pytestmark = pytest.mark.slow
 
@@ -64,10 +64,9 @@ def check(found: Rig, true: Rig) -> None:
     assert np.quantile(errors, 0.95) < 0.1
 
 
-def test_a_chessboard_gives_the_rig_without_the_pair_that_does_not_fit(chess: Path, tmp_path: Path, capsys) -> None:
+def test_a_chessboard_gives_the_rig_without_the_pair_that_does_not_fit(chess: Path, tmp_path: Path, tool) -> None:
     target = tmp_path / "stereo.yml"
-    assert run("calibrate", chess, *CHESS, "-o", target) == 0
-    out, err = capsys.readouterr()
+    out, err = tool.both(0, "calibrate", chess, *CHESS, "-o", target)
     check(read_rig([target]), boards.rig())
     report = json.loads((tmp_path / "stereo_report.json").read_text())
     photos = {photo["name"]: photo for photo in report["photos"]}
@@ -79,8 +78,7 @@ def test_a_chessboard_gives_the_rig_without_the_pair_that_does_not_fit(chess: Pa
     assert all(camera["reprojection_error"] < 0.1 for camera in report["cameras"])
     assert report["warnings"] == []
     assert read_image(tmp_path / "stereo_coverage.png").shape == (504, 1288, 3)
-    assert run("calibrate", chess, *CHESS, "-o", target) == 2
-    told(capsys.readouterr().err)
+    tool.told(2, "calibrate", chess, *CHESS, "-o", target)
     # The rig rectifies photos of the same cameras.
     (tmp_path / "pairs" / "a").mkdir(parents=True)
     for side in ("left", "right"):
@@ -113,7 +111,7 @@ def test_fisheye_lenses(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["parallel", "copies", "nearly copies"])
 @pytest.mark.parametrize("lens", [(), ("--fisheye",)])
 def test_photos_that_do_not_determine_the_camera_are_refused(
-    kind: str, lens: tuple[str, ...], tmp_path: Path, capsys
+    kind: str, lens: tuple[str, ...], tmp_path: Path, tool
 ) -> None:
     camera, texture = boards.rig(bool(lens)).left, boards.chessboard(9, 6)
     for k, (_, shift) in enumerate(boards.poses(8, EXTENT, tilt=0.0)):
@@ -126,8 +124,7 @@ def test_photos_that_do_not_determine_the_camera_are_refused(
         else:
             image = np.roll(first, k % 3, 1) if kind == "nearly copies" else first
         write_png(tmp_path / "photos" / f"{k}.png", image)
-    assert run("calibrate", tmp_path / "photos", *CHESS, *lens, "-o", tmp_path / "c.yml") == 2
-    err = capsys.readouterr().err
+    err = tool.err(2, "calibrate", tmp_path / "photos", *CHESS, *lens, "-o", tmp_path / "c.yml")
     assert ("do not determine the camera" if kind == "parallel" else "8 photos show the board at 1 diff") in err
     assert [each.name for each in tmp_path.iterdir()] == ["photos"]
 
@@ -158,20 +155,17 @@ def few(chess: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(chess, tmp_path / "photos", ignore=shutil.ignore_patterns("*[056789].png", "*1?.png")))
 
 
-def test_a_wrong_number_of_corners_is_said(few: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("calibrate", tmp_path / "photos", "--board", "10x7", "--square", "25mm", "-o", tmp_path / "c.yml") == 2
-    err = capsys.readouterr().err
-    assert "10 x 7 inner corners (11 x 8 squares)" in err and "--board counts inner corners" in err
+def test_a_wrong_number_of_corners_is_said(few: Path, tmp_path: Path, tool) -> None:
+    tool.told(2, "calibrate", tmp_path / "photos", "--board", "10x7", "--square", "25mm", "-o", tmp_path / "c.yml")
     assert [each.name for each in tmp_path.iterdir()] == ["photos"]
 
 
-def test_damaged_photos_are_left_out_and_said(few: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damaged_photos_are_left_out_and_said(few: Path, tmp_path: Path, tool) -> None:
     for name in ("left08.png", "right08.png"):
         (few / name).write_bytes((few / name.replace("08", "03")).read_bytes()[:5000])
     for name in ("left09.png", "other.png"):
         write_png(few / name, np.zeros((50, 60), np.uint8))
-    assert run("calibrate", few, *CHESS, "-o", tmp_path / "c.yml") == 3
-    out, err = capsys.readouterr()
+    out, err = tool.both(3, "calibrate", few, *CHESS, "-o", tmp_path / "c.yml")
     assert "left08.png" in err and "other.png: left out" in err
     assert "left cannot be read" in out and "60 x 50 pixels, not 640 x 480" in out
 
@@ -217,14 +211,12 @@ def test_numbers_of_photos_are_no_cameras(tmp_path: Path) -> None:
     assert len(photos) == 6 and not unnamed and all(each.right is None for each in photos)
 
 
-def test_pairs_of_no_rig_are_refused(few: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pairs_of_no_rig_are_refused(few: Path, tmp_path: Path, tool) -> None:
     files = sorted(few.glob("right*"))
     images = [read_image(file) for file in files]
     for file, image in zip(files, (*images[1:], images[0]), strict=True):
         write_png(file, image)
-    assert run("calibrate", few, *CHESS, "-o", tmp_path / "c.yml") == 2
-    err = capsys.readouterr().err
-    assert "the pairs do not fit" in err and err.count("\n") == 1
+    tool.told(2, "calibrate", few, *CHESS, "-o", tmp_path / "c.yml")
     assert not list(tmp_path.glob("c*"))
 
 

@@ -78,7 +78,7 @@ def test_depth_is_that_of_the_formula_and_of_opencv(matched: tuple[Path, Path], 
     assert (row["focal"], row["doffs"], row["points"]) == (713.189, 31.34, int(known.sum()))
 
 
-def test_bounds_in_meters_and_the_points_within_one(matched: tuple[Path, Path], tmp_path: Path, capsys):
+def test_bounds_in_meters_and_the_points_within_one(matched: tuple[Path, Path], tmp_path: Path, tool):
     scenes, made = matched
     one = scenes / "planes_0"
     assert run("stereo", "fast", "-i", scenes, "-o", tmp_path / "run", "--bound", "-q") == 0
@@ -97,11 +97,10 @@ def test_bounds_in_meters_and_the_points_within_one(matched: tuple[Path, Path], 
     found = depthcli.stereo(left, right, 12, "fast", bound=True).to_depth(one / "calib.txt")
     np.testing.assert_array_equal(found.bound, wide)
     assert len(found.to_points("all", max_bound=0.1)) == np.count_nonzero(wide <= 0.1)
-    assert run("depth", made, "-o", tmp_path / "e", "--max-bound", "0.1", "-q") == 3
-    told(capsys.readouterr().err)
+    tool.told(3, "depth", made, "-o", tmp_path / "e", "--max-bound", "0.1", "-q")
 
 
-def test_masks(matched: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_masks(matched: tuple[Path, Path], tmp_path: Path, tool):
     _, made = matched
     one = (made, "--ply", "--scenes", "planes_0", "-q")
     disparity = read_pfm(made / "planes_0" / "disp_left.pfm")
@@ -125,12 +124,11 @@ def test_masks(matched: tuple[Path, Path], tmp_path: Path, capsys: pytest.Captur
     assert abs(kept.sum() / measured.sum() - 0.6) < 0.02
     confidence = read_pfm(made / "planes_0" / "confidence_apkr.pfm")
     assert confidence[kept].min() > confidence[measured & ~kept].max()
-    assert run("depth", *one, "-o", tmp_path / "e", "--mask", "confident:0.6") == 3
-    told(capsys.readouterr().err)
+    tool.told(3, "depth", *one, "-o", tmp_path / "e", "--mask", "confident:0.6")
     assert run("depth", *one, "-o", tmp_path / "f", "--mask", "confident:2") == 2
 
 
-def test_where_the_calibration_comes_from(matched: tuple[Path, Path], tmp_path: Path, capsys):
+def test_where_the_calibration_comes_from(matched: tuple[Path, Path], tmp_path: Path, tool):
     _, made = matched
     one = (made, "--scenes", "planes_0", "-q")
     by_hand = ("--focal", "713.189", "--baseline", "0.178089", "--doffs", "31.34")
@@ -144,8 +142,7 @@ def test_where_the_calibration_comes_from(matched: tuple[Path, Path], tmp_path: 
     assert run("depth", *one, "--calibration", tmp_path / "calib.txt", "-o", tmp_path / "c") == 0
     assert (tmp_path / "c/planes_0/depth.pfm").read_bytes() != maps[0]
     (tmp_path / "calib.txt").write_text(V3.replace("178.089", "wide"))
-    assert run("depth", *one, "--calibration", tmp_path / "calib.txt", "-o", tmp_path / "c", "--overwrite") == 3
-    told(capsys.readouterr().err)
+    tool.told(3, "depth", *one, "--calibration", tmp_path / "calib.txt", "-o", tmp_path / "c", "--overwrite")
 
 
 def test_other_cameras_of_a_calibration_give_another_depth(tmp_path: Path):
@@ -187,28 +184,25 @@ def test_a_single_map_of_far_things(tmp_path: Path, capsys):
     np.testing.assert_allclose(ends, (14.5, 9.5), rtol=1e-5)
 
 
-def test_the_run_has_moved(matched: tuple[Path, Path], tmp_path: Path, capsys):
+def test_the_run_has_moved(matched: tuple[Path, Path], tmp_path: Path, tool):
     scenes, made = matched
     copy = tmp_path / "run"
     shutil.copytree(made / "planes_0", copy / "planes_0", ignore=shutil.ignore_patterns("record.json"))
-    assert run("depth", copy, "-o", tmp_path / "a", "-q") == 3
-    told(capsys.readouterr().err)
+    tool.told(3, "depth", copy, "-o", tmp_path / "a", "-q")
     assert run("depth", copy, "-o", tmp_path / "b", "-i", scenes, "--ply", "-q") == 0
     assert run("depth", tmp_path / "absent", "-o", tmp_path / "c") == 2
     assert run("depth", scenes, "-o", tmp_path / "c") == 2
 
 
-def test_a_scene_whose_map_is_gone_fails(matched, tmp_path: Path, capsys):
+def test_a_scene_whose_map_is_gone_fails(matched, tmp_path: Path, tool):
     made = shutil.copytree(matched[1], tmp_path / "run")
     (first, second) = sorted(folder.parent.name for folder in made.glob("*/disp_left.pfm"))
     (made / first / "disp_left.pfm").unlink()
-    assert run("depth", made, "-o", tmp_path / "d", "-q") == 3
-    told(capsys.readouterr().err)
+    tool.told(3, "depth", made, "-o", tmp_path / "d", "-q")
     assert not (tmp_path / "d" / first / "depth.pfm").exists() and (tmp_path / "d" / second / "depth.pfm").exists()
     assert run("depth", made, "-o", tmp_path / "e", "-q", "--scenes", second) == 0
     (made / second / "disp_left.pfm").unlink()
-    assert run("depth", made, "-o", tmp_path / "f", "-q") == 2
-    told(capsys.readouterr().err)
+    tool.told(2, "depth", made, "-o", tmp_path / "f", "-q")
 
 
 def test_kitti_by_camera(tmp_path: Path):
@@ -231,7 +225,7 @@ def test_kitti_by_camera(tmp_path: Path):
     refused(InputError, again.for_size, 250, 100)
 
 
-def test_maps_of_other_programs(matched: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_maps_of_other_programs(matched: tuple[Path, Path], tmp_path: Path, tool):
     """A rig of 400 px x 0.1 m sees 20 px at 2 m; -1 marks what has no value."""
     disparity = np.full((60, 100), 20, np.float32)
     disparity[:, ::2] += np.float32(0.5)
@@ -244,8 +238,8 @@ def test_maps_of_other_programs(matched: tuple[Path, Path], tmp_path: Path, caps
     def depth(name: str, *options: object) -> tuple[np.ndarray, str]:
         out = tmp_path / "out" / name
         line = ("depth", tmp_path / name, "--focal", "400", "--baseline", "0.1", "-o", out, "--overwrite", *options)
-        assert run(*line) == 0
-        return read_pfm(next(out.glob("*/depth.pfm"))), capsys.readouterr().err
+        said = tool.err(0, *line)
+        return read_pfm(next(out.glob("*/depth.pfm"))), said
 
     for name, options, says in (
         ("float.pfm", (), "20 % of the pixels are -1: taken as no value"),
@@ -258,13 +252,9 @@ def test_maps_of_other_programs(matched: tuple[Path, Path], tmp_path: Path, caps
         assert np.isfinite(found).mean() == 0.8 and found[0, 51] == pytest.approx(2)
         assert (says in said) if says else ("warning" not in said)
     by_hand = ("--focal", "400", "--baseline", "0.1", "-o", tmp_path / "none", "-q")
-    assert run("depth", tmp_path / "codes.png", *by_hand) == 3
-    said = capsys.readouterr().err
-    assert all(word in said for word in ("codes.png", "1312", "5.125 px", "--scale 256", "82 px", "--scale 16"))
-    assert run("depth", tmp_path / "raft.npy", *by_hand) == 3
-    told(capsys.readouterr().err)
-    assert run("depth", matched[1], "--scale", "16", "-o", tmp_path / "none", "-q") == 2
-    told(capsys.readouterr().err)
+    tool.told(3, "depth", tmp_path / "codes.png", *by_hand)
+    tool.told(3, "depth", tmp_path / "raft.npy", *by_hand)
+    tool.told(2, "depth", matched[1], "--scale", "16", "-o", tmp_path / "none", "-q")
 
 
 def test_a_map_of_a_run_alone_keeps_its_status_and_bound(tmp_path: Path):

@@ -11,7 +11,7 @@ from depthcli.core.maps import Status
 from depthcli.io.formats.disparity import read_pfm, read_status, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from tests.command_line import contents, rows, run
-from tests.golden import refused, saying, told
+from tests.golden import refused
 
 NAMES = ["foreground_0", "planes_0"]
 
@@ -29,11 +29,10 @@ def maps(two_scenes: Path, tmp_path: Path) -> Path:
     return folder
 
 
-def test_confidence_writes_what_it_says(two_scenes: Path, maps: Path, tmp_path: Path, capsys):
+def test_confidence_writes_what_it_says(two_scenes: Path, maps: Path, tmp_path: Path, tool):
     out = tmp_path / "sure"
     words = ("confidence", "-i", two_scenes, "--maps", maps, "-o", out, "--share", "0.8", "--measure", "rank")
-    assert run(*words, "--measure", "census") == 0
-    printed = capsys.readouterr()
+    printed = tool.both(0, *words, "--measure", "census")
     assert "% of the pixels are -1: taken as no value (--invalid nan keeps them)" in printed.err
     assert "expected right" in printed.out
     made = out / NAMES[0]
@@ -117,7 +116,7 @@ def test_bounds_move_with_the_search_range(two_scenes: Path):
         assert (found.bound[:, : max(-low, 0)] == 16).all()  # without a match they may be off by the whole range
 
 
-def test_several_maps_are_better_than_each(two_scenes: Path, tmp_path: Path, capsys):
+def test_several_maps_are_better_than_each(two_scenes: Path, tmp_path: Path, tool):
     for k, run_name in enumerate(("upper", "lower")):
         (tmp_path / run_name).mkdir()
         for name in NAMES:
@@ -127,8 +126,7 @@ def test_several_maps_are_better_than_each(two_scenes: Path, tmp_path: Path, cap
             write_pfm(tmp_path / run_name / f"{name}.pfm", values)
     (tmp_path / "lower" / f"{NAMES[1]}.pfm").unlink()
     words = ("fuse", "maps", "-i", two_scenes, "--maps", tmp_path / "upper", "--maps", tmp_path / "lower")
-    assert run(*words, "-o", tmp_path / "best") == 0
-    told(capsys.readouterr().err)
+    tool.told(0, *words, "-o", tmp_path / "best")
     scene = two_scenes / NAMES[0]
     truth, visible = read_pfm(scene / "disp_left.pfm"), read_image(scene / "mask_nonocc.png")
     best = read_pfm(tmp_path / "best" / NAMES[0] / "disp_left.pfm")
@@ -191,19 +189,17 @@ def test_what_is_wrong_with_one_scene_fails_alone(two_scenes: Path, maps: Path, 
     assert second.is_file()
 
 
-def test_a_folder_that_cannot_be_used_fails_alone(two_scenes: Path, maps: Path, tmp_path: Path, capsys):
+def test_a_folder_that_cannot_be_used_fails_alone(two_scenes: Path, maps: Path, tmp_path: Path, tool):
     folder = tmp_path / "scenes"
     shutil.copytree(two_scenes, folder)
     shutil.copy(folder / NAMES[0] / "left.png", folder / NAMES[0] / "left.jpg")
-    assert run("confidence", "-i", folder, "--maps", maps, "-o", tmp_path / "out", "--evaluate") == 3
-    told(capsys.readouterr().err)
+    tool.told(3, "confidence", "-i", folder, "--maps", maps, "-o", tmp_path / "out", "--evaluate")
     assert (tmp_path / "out" / NAMES[1] / "probability.pfm").is_file()
 
 
-def test_the_scale_of_a_run_that_is_not_given_is_refused(two_scenes: Path, maps: Path, tmp_path: Path, capsys):
+def test_the_scale_of_a_run_that_is_not_given_is_refused(two_scenes: Path, maps: Path, tmp_path: Path, tool):
     words = ("confidence", "-i", two_scenes, "--maps", maps, "-o", tmp_path / "out")
-    assert run(*words, "--pattern", "other={scene}.pfm") == 2
-    told(capsys.readouterr().err)
+    tool.told(2, *words, "--pattern", "other={scene}.pfm")
 
 
 def test_names_of_kept_files_and_a_single_pair(two_scenes: Path, maps: Path, tmp_path: Path):
@@ -214,7 +210,7 @@ def test_names_of_kept_files_and_a_single_pair(two_scenes: Path, maps: Path, tmp
     assert sorted(path.name for path in made.iterdir()) == ["probability.pfm", "record.json"]
 
 
-def test_witnesses_right_maps_and_evaluation(two_scenes: Path, maps: Path, tmp_path: Path, capsys):
+def test_witnesses_right_maps_and_evaluation(two_scenes: Path, maps: Path, tmp_path: Path, tool):
     rights = tmp_path / "rights"
     for name in NAMES:
         (rights / name).mkdir(parents=True)
@@ -229,11 +225,7 @@ def test_witnesses_right_maps_and_evaluation(two_scenes: Path, maps: Path, tmp_p
                "--scale", "r=2", "--measure", "left_right", "-q") == 0  # fmt: skip
     (rights / NAMES[0] / "disp_right.pfm").unlink()
     write_pfm(rights / NAMES[1] / "disp_right.pfm", np.ones((64, 80), np.float32))
-    assert run("confidence", "-i", two_scenes, "--maps", maps, "-o", tmp_path / "y", "--right-maps", rights) == 3
-    shown = capsys.readouterr().err
-    assert f"{NAMES[0]}: warning: " in shown
-    assert "no map of rights (right view)" in shown
-    assert "disp_right.pfm: 80 x 64, but" in shown
+    tool.told(3, "confidence", "-i", two_scenes, "--maps", maps, "-o", tmp_path / "y", "--right-maps", rights)
     consistent = read_pfm(tmp_path / "out" / NAMES[0] / "confidence_left_right.pfm")
     assert np.nanmedian(consistent[42:58, 60:90]) > -0.6 > -3 > np.nanmedian(consistent[24:36, 44:66])
 
@@ -251,10 +243,8 @@ def test_a_scene_without_a_right_image(two_scenes: Path, maps: Path, tmp_path: P
 
 def test_python_speaks_of_keywords():
     left = np.random.default_rng(0).integers(0, 256, (40, 60), np.uint8)
-    with saying(depthcli.ConfigError):
-        depthcli.map_confidence(left, left, np.ones((40, 60)), measures=["x"])
-    with saying(depthcli.InputError):
-        depthcli.map_confidence(left, left, np.ones((40, 59)))
+    refused(depthcli.ConfigError, depthcli.map_confidence, left, left, np.ones((40, 60)), measures=["x"])
+    refused(depthcli.InputError, depthcli.map_confidence, left, left, np.ones((40, 59)))
     refused(depthcli.InputError, depthcli.fuse_maps, left, left, [])
     found = depthcli.map_confidence(left, left, np.zeros((40, 60)), max_disparity=8)
     assert (found.probability > 0).all()  # 0 is a value

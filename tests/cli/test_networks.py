@@ -16,7 +16,7 @@ from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.networks import network_path
 from depthcli.methods.stereo.cost.census import Census
-from tests.command_line import run
+from tests.command_line import Tool, run
 from tests.golden import refused
 from tests.methods.stereo._networks import block_matcher, has_onnx, local_features
 from tests.methods.stereo._pairs import shifted_pair
@@ -78,46 +78,44 @@ def test_fuse_takes_networks_as_measures(scenes: Path, tmp_path: Path):
     assert "model" in json.loads((tmp_path / "run" / "a" / "record.json").read_text())["inputs"]
 
 
-def _refused(file: Path, scenes: Path, output: Path, capsys: pytest.CaptureFixture[str], *options: str) -> str:
-    assert run("stereo", file, "-i", scenes, "-o", output, *options) == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1
+def _refused(file: Path, scenes: Path, output: Path, tool: Tool, *options: str) -> None:
+    assert tool.told(2, "stereo", file, "-i", scenes, "-o", output, *options).count("\n") == 1
     assert not output.exists()
-    return lines[0]
 
 
 @needs_onnx
-def test_networks_that_cannot_be_used_are_refused_before_the_batch(scenes: Path, tmp_path: Path, capsys):
+def test_networks_that_cannot_be_used_are_refused_before_the_batch(scenes: Path, tmp_path: Path, tool):
     block_matcher(tmp_path / "net.onnx", factor=-1)
     file, output = config(tmp_path, max_disparity=12), tmp_path / "run"
-    assert "the sign is wrong" in _refused(file, scenes, output, capsys)
-    assert "networks run on cpu, cuda" in _refused(file, scenes, output, capsys, "--device", "opencl")
-    assert "onnxruntime-gpu" in _refused(file, scenes, output, capsys, "--device", "cuda")
-    assert "'0-255', '0-1'" in _refused(file, scenes, output, capsys, "--set", "normalization=0..1")
+    _refused(file, scenes, output, tool)
+    _refused(file, scenes, output, tool, "--device", "opencl")
+    _refused(file, scenes, output, tool, "--device", "cuda")
+    _refused(file, scenes, output, tool, "--set", "normalization=0..1")
     (tmp_path / "net.onnx").write_bytes(b"no network")
-    assert "not a network that onnxruntime can run" in _refused(file, scenes, output, capsys)
+    assert "not a network that onnxruntime can run" in tool.err(2, "stereo", file, "-i", scenes, "-o", output)
     (tmp_path / "net.onnx").unlink()
-    assert "network cannot be read" in _refused(file, scenes, output, capsys)
+    _refused(file, scenes, output, tool)
 
 
-def test_what_to_install_is_said_in_one_line(scenes: Path, tmp_path: Path, capsys, monkeypatch):
+def test_what_to_install_is_said_in_one_line(scenes: Path, tmp_path: Path, tool, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     (tmp_path / "net.onnx").write_bytes(b"network")
     file = config(tmp_path, max_disparity=12)
-    assert "pip install 'depthcli[onnx]'" in _refused(file, scenes, tmp_path / "run", capsys)
+    _refused(file, scenes, tmp_path / "run", tool)
     left = shifted_pair(20, 40, 2).left
     refused(ConfigError, depthcli.stereo, left, left, preset=file)
 
 
 @needs_onnx
-def test_a_scene_at_which_the_network_fails_is_a_failed_row(scenes: Path, tmp_path: Path, capsys):
+def test_a_scene_at_which_the_network_fails_is_a_failed_row(scenes: Path, tmp_path: Path, tool):
     block_matcher(tmp_path / "net.onnx", multiple=40)  # scenes have 40 rows, one here 41; the self-check is left out
     pair = shifted_pair(41, 90, 5)
     for name, image in (("left.png", pair.left), ("right.png", pair.right)):
         write_png(scenes / "b" / name, image)
     file = config(tmp_path, max_disparity=12, multiple=1, self_check=False)
-    assert run("stereo", file, "-i", scenes, "-o", tmp_path / "run", "-q") == 3
-    assert "the network fails for left (1, 3, 41, 90)" in capsys.readouterr().err
+    assert "the network fails for left (1, 3, 41, 90)" in tool.err(
+        3, "stereo", file, "-i", scenes, "-o", tmp_path / "run"
+    )
     assert (tmp_path / "run" / "a" / "disp_left.pfm").is_file()
 
 
@@ -154,7 +152,7 @@ def test_a_volume_from_the_scene_folder_and_confidence_maps(scene: Path, tmp_pat
     assert (made / "disp_left.pfm").stat().st_mtime_ns != before
 
 
-def test_edited_weights_are_another_input(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_edited_weights_are_another_input(scene: Path, tmp_path: Path, tool):
     network = tmp_path / "net.json"
     shutil.copyfile(network_path("accurate"), network)
     command = ("fuse", "accurate", "-i", scene.parent, "-o", tmp_path / "run", "-q", "--set", "max_disparity=11")
@@ -168,11 +166,8 @@ def test_edited_weights_are_another_input(scene: Path, tmp_path: Path, capsys: p
     assert run(*command, *weights) == 0
     assert record.stat().st_mtime_ns != before
     network.write_text("{}")
-    capsys.readouterr()
-    for name, message in ((network, "net.json: not a network that depthcli wrote"), ("x", "no network called 'x'")):
-        assert run(*command, "--set", f"maps.choice.weights={name}") == 2
-        lines = capsys.readouterr().err.strip().splitlines()
-        assert len(lines) == 1 and message in lines[0] and "maps.choice.weights" in lines[0]
+    for name in (network, "x"):
+        assert tool.told(2, *command, "--set", f"maps.choice.weights={name}").count("\n") == 1
 
 
 def test_the_name_of_a_volume_may_hold_the_scene(scene: Path, tmp_path: Path):
@@ -182,7 +177,7 @@ def test_the_name_of_a_volume_may_hold_the_scene(scene: Path, tmp_path: Path):
     assert np.mean(read_pfm(tmp_path / "run" / "shifted" / "disp_left.pfm")[:, 12:] == 5) > 0.98
 
 
-def test_a_scene_whose_volume_is_missing_or_damaged_fails_alone(scene: Path, tmp_path: Path, capsys):
+def test_a_scene_whose_volume_is_missing_or_damaged_fails_alone(scene: Path, tmp_path: Path, tool):
     for name, data in (("missing", None), ("damaged", b"\x93NUMPY no"), ("flat", np.zeros((40, 70)))):
         other = scene.parent / name
         other.mkdir()
@@ -193,9 +188,6 @@ def test_a_scene_whose_volume_is_missing_or_damaged_fails_alone(scene: Path, tmp
         elif data is not None:
             np.save(other / "learned.npy", data)
     file = fuse_config(tmp_path, max_disparity=11)
-    assert run("fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q") == 3
-    err = capsys.readouterr().err
-    assert "no such file" in err
-    assert "npy" in err
-    assert "(H, W, D)" in err
+    err = tool.err(3, "fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q")
+    assert all(word in err for word in ("no such file", "damaged/learned.npy", "(H, W, D)"))
     assert (tmp_path / "run" / "shifted" / "disp_left.pfm").is_file()

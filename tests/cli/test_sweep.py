@@ -9,24 +9,20 @@ from pathlib import Path
 import pytest
 
 from depthcli.cli import main
-from depthcli.core.config_file import find_config
 from depthcli.core.errors import ConfigError
-from depthcli.core.yaml_source import read_config
 from depthcli.evaluation.sweeps import combinations, effects, folder_names, parse_axes, value_text
-from depthcli.problems.stereo import StereoConfig
 from depthcli.run.folder import FolderLock
-from tests.golden import refused, told
+from tests.golden import refused
 
 
-def sweep(two_scenes: Path, output: Path, *more: str) -> int:
-    return main(["sweep", "fast", "-i", str(two_scenes), "-o", str(output), *more])
+def words(two_scenes: Path, output: Path, *more: str) -> list[str]:
+    return ["sweep", "fast", "-i", str(two_scenes), "-o", str(output), *more]
 
 
 @pytest.mark.slow
-def test_a_sweep_is_resumed_and_says_what_matters(two_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_sweep_is_resumed_and_says_what_matters(two_scenes: Path, tmp_path: Path, tool):
     over = ("--over", "optimization.p2=2,8", "--over", "cost.window=[5,5],[9,7]")
-    assert sweep(two_scenes, tmp_path, *over, "--html") == 0
-    out, err = capsys.readouterr()
+    out, err = tool.both(0, *words(two_scenes, tmp_path, *over, "--html"))
     assert err.rstrip().endswith(f": {tmp_path / 'evaluation' / 'report.html'}")
     assert "Sensitivity, the strongest first" in out
     runs = sorted(path.name for path in (tmp_path / "runs").iterdir())
@@ -35,128 +31,88 @@ def test_a_sweep_is_resumed_and_says_what_matters(two_scenes: Path, tmp_path: Pa
     assert "own-values *" in out
     assert "*: the config's own values" in out
     assert "window: [9, 7]" in (tmp_path / "runs" / runs[1] / "run.yaml").read_text()
-    (result,) = json.loads((tmp_path / "sweep.json").read_text())["results"]
-    scores = json.loads((tmp_path / "evaluation" / "scores.json").read_text())
-    figures = {each["run"]: each["value"] for each in scores["headlines"]}
-    rows = {row["run"]: row for row in result["runs"]}
-    assert {run: row[result["headline"]] for run, row in rows.items()} == figures
-    assert rows[runs[0]]["optimization.p2"] == "2"
-    assert [run for run, row in rows.items() if row["own_values"]] == ["own-values"]
-    own = StereoConfig.model_validate(read_config(find_config("stereo", "fast")).data).pipeline
-    assert float(rows["own-values"]["optimization.p2"]) == own.optimization.p2
-    assert json.loads(rows["own-values"]["cost.window"]) == list(own.cost.window)
-    assert result["best"] == min(figures, key=lambda run: figures[run])
-    by_key = {each["key"]: each for each in result["sensitivity"]}
-    means = {each["value"]: each["mean"] for each in by_key["optimization.p2"]["values"]}
-    assert means["2"] == pytest.approx((figures[runs[0]] + figures[runs[1]]) / 2)
-    with (tmp_path / "sweep.csv").open(newline="") as file:
-        assert [row["run"] for row in csv.DictReader(file)] == [row["run"] for row in result["runs"]]
     assert (tmp_path / "evaluation" / "report.html").is_file()
     maps = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("disp_left.pfm")}
-    assert sweep(two_scenes, tmp_path, "--over", "optimization.p2=2,8,4", *over[2:], "--json") == 0
-    captured = capsys.readouterr()
+    again = tool.out(0, *words(two_scenes, tmp_path, "--over", "optimization.p2=2,8,4", *over[2:], "--json"))
     assert not list(tmp_path.glob(".*"))
-    assert len(json.loads(captured.out)["results"][0]["runs"]) == 7
+    assert len(json.loads(again)["results"][0]["runs"]) == 7
     assert {path: path.stat().st_mtime_ns for path in maps} == maps
 
 
-def test_wrong_values_are_told_before_anything_is_computed(two_scenes: Path, tmp_path: Path, capsys):
-    assert sweep(two_scenes, tmp_path / "a", "--over", "optimization.p2=2,-8") == 2
-    told(capsys.readouterr().err)
+def test_wrong_values_are_told_before_anything_is_computed(two_scenes: Path, tmp_path: Path, tool):
+    tool.told(2, *words(two_scenes, tmp_path / "a", "--over", "optimization.p2=2,-8"))
     assert not (tmp_path / "a").exists()
 
 
-def test_draws_and_dry_runs(two_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_draws_and_dry_runs(two_scenes: Path, tmp_path: Path, tool):
     over = ("--over", "optimization.p2=1:9:1", "--over", "optimization.p1=0.1:0.9:0.1", "--random", "3", "--seed", "2")
-    assert sweep(two_scenes, tmp_path / "a", *over, "--dry-run", "--json") == 0
-    rows = json.loads(capsys.readouterr().out)["runs"]
+    rows = json.loads(tool.out(0, *words(two_scenes, tmp_path / "a", *over, "--dry-run", "--json")))["runs"]
     assert [(row["scenes"], row["done"]) for row in rows] == [(2, 0)] * 4
-    assert sweep(two_scenes, tmp_path / "a", *over, "--dry-run") == 0
-    assert rows[0]["run"] in capsys.readouterr().out
+    assert rows[0]["run"] in tool.out(0, *words(two_scenes, tmp_path / "a", *over, "--dry-run"))
     assert not (tmp_path / "a").exists()
 
 
-def test_the_thesis_s_symbols_are_names_of_keys(two_scenes: Path, tmp_path: Path, capsys):
+def test_the_thesis_s_symbols_are_names_of_keys(two_scenes: Path, tmp_path: Path, capsys, tool):
     command = ["sweep", "thesis/ch2-kp-dedc", "-i", str(two_scenes), "-o", str(tmp_path / "a"), "--dry-run", "--json"]
     over = ["--over", "alpha=0.1,0.2", "--over", "sigma=150", "--set", "w=30"]
-    assert main([*command, *over]) == 0
-    rows = json.loads(capsys.readouterr().out)["runs"]
+    rows = json.loads(tool.out(0, *command, *over))["runs"]
     assert [row["run"] for row in rows][1:] == ["margin=0.1,color_scale=150", "margin=0.2,color_scale=150"]
-    assert main([*command, *over, "--over", "ranges.margin=0.3"]) == 2
-    told(capsys.readouterr().err)
+    tool.told(2, *command, *over, "--over", "ranges.margin=0.3")
     for name, keys in {"ch2-kp-dedc": "alpha lambda w sigma hs hr", "ch3-ad-census-cross": "tau L",
                        "ch3-ad-aw": "gamma_c gamma_s"}.items():  # fmt: skip
         command = ["stereo", f"thesis/{name}", "-i", str(two_scenes), "--dry-run"]
-        assert main([*command, *(f"--set={key}=3" for key in keys.split() if key not in ("alpha",))]) == 0
-        capsys.readouterr()
+        tool.both(0, *command, *(f"--set={key}=3" for key in keys.split() if key not in ("alpha",)))
         assert main([*command, *(f"--set={key}=x" for key in keys.split())]) == 2
         assert ("ranges.margin" if "ch2" in name else "aggregation.") in capsys.readouterr().err
 
 
-def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(two_scenes: Path, tmp_path: Path, capsys):
+def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(two_scenes: Path, tmp_path: Path, tool):
     output = tmp_path / "run"
     command = ["stereo", "fast", "-i", str(two_scenes), "-o", str(output)]
-    assert main([*command, "--dry-run"]) == 0
-    out, plan = capsys.readouterr()
+    out, plan = tool.both(0, *command, "--dry-run")
     assert out == "foreground_0\nplanes_0\n"
     assert "pipeline: local" in plan and "2 scenes: 2 to do" in plan and "MiB" in plan
     assert not output.exists()
-    assert main([*command[:-2], "--dry-run"]) == 0
-    assert capsys.readouterr() == (out, plan)
-    assert main([*command[:-2], "--dry-run", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["output"] is None
-    assert main(command[:-2]) == 2
-    told(capsys.readouterr().err)
+    assert tool.both(0, *command[:-2], "--dry-run") == (out, plan)
+    assert json.loads(tool.out(0, *command[:-2], "--dry-run", "--json"))["output"] is None
+    tool.told(2, *command[:-2])
     assert main([*command, "--scenes", "foreground_0", "-q"]) == 0
-    assert main([*command, "--dry-run", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = json.loads(tool.out(0, *command, "--dry-run", "--json"))
     assert [row["status"] for row in document["scenes"]] == ["done, kept", "to do"]
     assert all(180 << 20 < row["memory"] < 300 << 20 for row in document["scenes"])  # of the whole process
-    assert main([*command[:-1], str(tmp_path / "small"), "--max-memory", "100MiB"]) == 3
-    told(capsys.readouterr().err)
-    assert main([*command, "--set", "optimization.p2=3", "--dry-run"]) == 2
-    err = capsys.readouterr().err
+    tool.told(3, *command[:-1], tmp_path / "small", "--max-memory", "100MiB")
+    err = tool.err(2, *command, "--set", "optimization.p2=3", "--dry-run")
     assert "another config; needs --overwrite" in err and "has a run of another config (it has" in err
-    assert main([*command, "--set", "optimization.p2=3", "--dry-run", "--overwrite"]) == 0
-    capsys.readouterr()
-    assert main([*command, "--list-scenes", "--shard", "2/2"]) == 0
-    assert len(capsys.readouterr().out.split()) == 1
+    tool.both(0, *command, "--set", "optimization.p2=3", "--dry-run", "--overwrite")
+    assert len(tool.out(0, *command, "--list-scenes", "--shard", "2/2").split()) == 1
 
 
-def test_dry_runs_of_commands_without_a_config(two_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_dry_runs_of_commands_without_a_config(two_scenes: Path, tmp_path: Path, tool):
     output = tmp_path / "out"
-    assert main(["sample", "-o", str(output), "--dry-run"]) == 0
-    told(capsys.readouterr().err)
+    tool.told(0, "sample", "-o", output, "--dry-run")
     run = tmp_path / "run"
     assert main(["stereo", "fast", "-i", str(two_scenes), "-o", str(run), "-q"]) == 0
-    assert main(["depth", str(run), "-o", str(output), "--dry-run"]) == 0
-    plan = capsys.readouterr().err
-    assert "2 scenes: 2 cannot be used" in plan
-    assert "no calibration with the images" in plan
+    plan = tool.err(0, "depth", run, "-o", output, "--dry-run")
+    assert "2 scenes: 2 cannot be used" in plan and "no calibration with the images" in plan
     by_hand = ("--focal", "500", "--baseline", "0.1")
-    assert main(["depth", str(run), "-o", str(output), *by_hand, "--dry-run", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = json.loads(tool.out(0, "depth", run, "-o", output, *by_hand, "--dry-run", "--json"))
     assert document["config"]["focal"] == 500
     assert [row["status"] for row in document["scenes"]] == ["to do"] * 2
     absent = str(tmp_path / "absent.yml")
     command = ["rectify", "-i", str(two_scenes), "-o", str(output), "--dry-run"]
-    assert main([*command, "--calibration", absent]) == 0
-    told(capsys.readouterr().err)
-    assert main([*command, "--uncalibrated"]) == 0
-    told(capsys.readouterr().err)
+    tool.told(0, *command, "--calibration", absent)
+    tool.told(0, *command, "--uncalibrated")
     assert not output.exists()
 
 
 @pytest.mark.slow
-def test_the_sweep_that_ends_last_compares_and_marks_own_values(two_scenes: Path, tmp_path: Path, capsys):
+def test_the_sweep_that_ends_last_compares_and_marks_own_values(two_scenes: Path, tmp_path: Path, tool):
     command = ["sweep", "opencv-bm", "-i", str(two_scenes), "-o", str(tmp_path), "--set", "block=7"]
     with FolderLock(tmp_path, print) as other:  # as of another process, which has not ended
         other.share()
-        assert main([*command, "--over", "block=5,7"]) == 0
-        assert capsys.readouterr().out == ""
+        assert tool.out(0, *command, "--over", "block=5,7") == ""
         assert sorted(path.name for path in tmp_path.glob("[!.]*")) == ["runs"]
-    assert main([*command, "--over", "block=5,7"]) == 0
-    out = capsys.readouterr().out
+    out = tool.out(0, *command, "--over", "block=5,7")
     assert "block=7 *" in out and "block=5 *" not in out
     with (tmp_path / "sweep.csv").open(newline="") as file:
         own = {row["run"]: row["own_values"] for row in csv.DictReader(file)}

@@ -40,9 +40,6 @@ def test_middlebury(tmp_path: Path):
     run = run_of(tmp_path / "run", [*V3.scenes[TRAINING], *V3.scenes[TEST]], quarter)
     assert export(run, "middlebury-v3", tmp_path / "a.zip") == 0
     with zipfile.ZipFile(tmp_path / "a.zip") as archive:
-        names = archive.namelist()
-        assert len(names) == 60
-        assert {"trainingQ/Teddy/disp0OUR-1.pfm", "testQ/Computer/timeOUR-1.txt"} <= set(names)
         assert float(archive.read("testQ/Plants/timeOUR-1.txt")) == 1.25
         archive.extractall(tmp_path / "out")
     number = V3.scenes[TRAINING].index("Teddy")

@@ -17,21 +17,18 @@ from depthcli.run.flags import conditions_of, flag_rows, plain_name
 from tests.golden import refused
 
 
-def test_runs_say_which_scenes_are_flagged(two_scenes, tmp_path, capsys):
+def test_runs_say_which_scenes_are_flagged(two_scenes, tmp_path, tool):
     command = ["stereo", "fast", "-i", str(two_scenes), "-o", str(tmp_path / "run"), "--flag", "measured<2"]
-    assert main([*command, "--fail-flagged"]) == 4
-    out = capsys.readouterr().out
+    out = tool.out(4, *command, "--fail-flagged")
     assert "flagged: 2 of 2" in out and re.search(r"planes_0 +measured 0\.\d+ < 2", out)
     before = (tmp_path / "run" / "report.json").read_bytes()
-    assert main([*command, "--flag", "density<0", "--json", "-q"]) == 0  # nothing is computed again
-    document = json.loads(capsys.readouterr().out)
+    document = json.loads(tool.out(0, *command, "--flag", "density<0", "--json", "-q"))  # nothing is computed again
     assert {each["scene"] for each in document["flagged"]} == {"foreground_0", "planes_0"}
     assert (tmp_path / "run" / "report.json").read_bytes() == before
-    assert main([*command[:-1], "measured<0", "--fail-flagged"]) == 0
-    assert "flagged: none of 2" in capsys.readouterr().out
+    assert "flagged: none of 2" in tool.out(0, *command[:-1], "measured<0", "--fail-flagged")
 
 
-def test_scores_flag_scenes_in_tables_json_and_page(two_scenes, tmp_path, capsys):
+def test_scores_flag_scenes_in_tables_json_and_page(two_scenes, tmp_path, capsys, tool):
     run = tmp_path / "run"
     assert main(["stereo", "fast", "-i", str(two_scenes), "-o", str(run), "-q"]) == 0
     flags = ["--flag", "bad 1.0 all>=0", "--flag", "measured<0"]
@@ -51,12 +48,10 @@ def test_scores_flag_scenes_in_tables_json_and_page(two_scenes, tmp_path, capsys
         assert main([*words, "--flag", f"bad 1{limit}"]) == 0
         page = (tmp_path / scene / "report.html").read_text("utf-8")
         assert f'<a href="#scene-0">{scene}</a>' in page
-    capsys.readouterr()
-    assert main([*command[:-4], "--json"]) == 0
-    assert "flagged" not in json.loads(capsys.readouterr().out)
+    assert "flagged" not in json.loads(tool.out(0, *command[:-4], "--json"))
 
 
-def test_thresholds_of_smaller_images_are_named_by_those_of_the_full_size(two_scenes, tmp_path, capsys):
+def test_thresholds_of_smaller_images_are_named_by_those_of_the_full_size(two_scenes, tmp_path, tool):
     truth = tmp_path / "truth"
     camera = "[100 0 60; 0 100 45; 0 0 1]"
     calibration = f"cam0={camera}\ncam1={camera}\ndoffs=0\nbaseline=100\nwidth=96\nheight=64\nndisp=16\n"
@@ -67,8 +62,7 @@ def test_thresholds_of_smaller_images_are_named_by_those_of_the_full_size(two_sc
         (truth / scene / "calib.txt").write_text(calibration)
         write_pfm(tmp_path / "run" / f"{scene}.pfm", np.full((64, 96), value, np.float32))
     command = ["evaluate", str(tmp_path / "run"), "--truth", str(truth), "-o", str(tmp_path / "out"), "--fail-flagged"]
-    assert main([*command, "--flag", "bad 2 all>10", "--flag", "totbad 2>10", "--resolution", "H"]) == 4
-    out = capsys.readouterr().out
+    out = tool.out(4, *command, "--flag", "bad 2 all>10", "--flag", "totbad 2>10", "--resolution", "H")
     assert re.search(r"foreground_0 +run +bad 2 all 100 > 10; totbad 2 100 > 10", out)
     assert "bad 2 (1)" in (tmp_path / "out" / "report.md").read_text()
 
@@ -80,11 +74,11 @@ def pairs(made_volumes, tmp_path):
 
 def measure(pairs, *words):
     own = ["--set", "radius=3", "--set", "half_window=1", "--quiet"]
-    return main(["register-confidence", "mind", "-i", str(pairs), "-o", str(pairs.parent / "run"), *own, *words])
+    return "register-confidence", "mind", "-i", pairs, "-o", pairs.parent / "run", *own, *words
 
 
 @pytest.mark.slow
-def test_regions_of_registrations_are_reported_and_flagged(pairs, capsys):
+def test_regions_of_registrations_are_reported_and_flagged(pairs, tool):
     volume = read_volume(pairs / "pair_0" / "fixed.nii.gz")
     half = np.zeros(volume.values.shape, np.uint8)
     half[:, :, : half.shape[2] // 2] = 1
@@ -95,8 +89,8 @@ def test_regions_of_registrations_are_reported_and_flagged(pairs, capsys):
     tiny[20, 30, 30] = 1  # a quarter of a block
     write_array(pairs / "pair_0" / "mask_tiny.nii.gz", volume.grid, tiny)
     flags = ("--flag", "region_95_low>=0", "--flag", "region_95_all<0", "--fail-flagged")
-    assert measure(pairs, "--json", "--set", "max_voxels=20000", *flags) == 4  # blocks of 2 x 2 x 1 voxels
-    document = json.loads(capsys.readouterr().out)
+    blocks = ("--set", "max_voxels=20000")  # of 2 x 2 x 1 voxels
+    document = json.loads(tool.out(4, *measure(pairs, "--json", *blocks, *flags)))
     row = document["scenes"][0]
     error = read_volume(pairs.parent / "run" / "pair_0" / "expected_error.nii.gz").values
     assert row["region_mean_all"] == pytest.approx(error.mean(), rel=0.02)
@@ -109,47 +103,43 @@ def test_regions_of_registrations_are_reported_and_flagged(pairs, capsys):
 
 
 @pytest.mark.slow
-def test_labels_of_a_map_are_regions_of_their_own(pairs, capsys):
+def test_labels_of_a_map_are_regions_of_their_own(pairs, tool):
     volume = read_volume(pairs / "pair_0" / "fixed.nii.gz")
     labels = np.zeros(volume.values.shape, np.uint8)
     labels[:20], labels[20:30], labels[30:] = 1, 2, 7
     for pair in ("pair_0", "pair_1"):
         write_array(pairs / pair / "mask_organs.nii.gz", volume.grid, labels)
     (pairs / "pair_1" / "meta.json").write_text('{"labels": {"organs": {"background": 0, "liver": 1, "spleen": 2}}}')
-    assert measure(pairs, "--json") == 0
-    document = json.loads(capsys.readouterr().out)
+    document = json.loads(tool.out(0, *measure(pairs, "--json")))
     error = read_volume(pairs.parent / "run" / "pair_1" / "expected_error.nii.gz").values
     first, second = document["scenes"]
     assert {key for key in first if key.startswith("region_95")} == {f"region_95_organs_{k}" for k in (1, 2, 7)}
     assert second["region_mean_spleen"] == pytest.approx(error[labels == 2].mean(), rel=0.1)
     assert {"region_95_liver", "region_95_organs_7"} < second.keys() and "region_95_organs_1" not in second
     (pairs / "pair_1" / "meta.json").write_text('{"labels": {"organs": {"spleen": 1, "liver": 2}}}')
-    assert measure(pairs, "--json") == 0  # names are an input
-    again = json.loads(capsys.readouterr().out)["scenes"][1]
+    again = json.loads(tool.out(0, *measure(pairs, "--json")))["scenes"][1]  # names are an input
     assert again["region_mean_liver"] == second["region_mean_spleen"]
 
 
 @pytest.mark.slow
-def test_a_mask_that_cannot_be_used_is_left_out_and_said(pairs, capsys):
+def test_a_mask_that_cannot_be_used_is_left_out_and_said(pairs, tool):
     volume = read_volume(pairs / "pair_0" / "fixed.nii.gz")
     good = np.ones(volume.values.shape, np.uint8)
     write_array(pairs / "pair_0" / "mask_good.nii.gz", volume.grid, good)
     write_array(pairs / "pair_0" / "mask_small.nii.gz", Grid((4, 4, 4), volume.grid.spacing), good[:4, :4, :4])
     (pairs / "pair_1" / "mask_cut.nii.gz").write_bytes((pairs / "pair_0" / "mask_good.nii.gz").read_bytes()[:100])
     for _ in range(2):  # the second time, nothing is computed
-        assert measure(pairs, "--json") == 3
-        out, err = capsys.readouterr()
+        out, err = tool.both(3, *measure(pairs, "--json"))
         document = json.loads(out)
         assert [line.partition(":")[0] for line in err.splitlines()] == ["pair_0", "pair_1"]
         assert "another grid" in err and "mask_cut.nii.gz" in err
         assert "region_95_good" in document["scenes"][0] and {each["error"] for each in document["scenes"]} == {""}
 
 
-def test_a_condition_without_any_value_does_not_pass(two_scenes, tmp_path, capsys):
+def test_a_condition_without_any_value_does_not_pass(two_scenes, tmp_path, tool):
     command = ["stereo", "fast", "-i", str(two_scenes), "-o", str(tmp_path / "run"), "-q", "--flag", "measred<5"]
-    assert main(command) == 0
-    assert main([*command, "--fail-flagged"]) == 4
-    assert capsys.readouterr().err.count("did you mean 'measured'") == 2
+    for words in ((0, *command), (4, *command, "--fail-flagged")):
+        tool.told(*words)
 
 
 def test_failed_scenes_come_before_flagged_ones_in_the_exit_code(two_scenes, tmp_path):

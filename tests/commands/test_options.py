@@ -122,7 +122,7 @@ def test_cells_of_tables_keep_their_line_breaks_and_tabs_separate_them(tmp_path:
     assert [(scene.left.name, scene.name) for scene in scenes_of_table(tmp_path / "t.csv")] == [("a.png", "x, y")]
 
 
-def test_the_mask_of_glass_is_objects(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_mask_of_glass_is_objects(tmp_path: Path, tool):
     """As in a folder; refused where a config does not look at it."""
     color = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
     depth, mask = np.full((48, 64), 1500, np.uint16), np.zeros((48, 64), np.uint8)
@@ -135,6 +135,5 @@ def test_the_mask_of_glass_is_objects(tmp_path: Path, capsys: pytest.CaptureFixt
     assert run("transparent", "sensor", *files, "-o", tmp_path / "o", "-q") == 0
     assert run("transparent", "sensor", "-i", tmp_path / "in", "-o", tmp_path / "p", "-q") == 0
     assert (tmp_path / "o/a/depth.pfm").read_bytes() == (tmp_path / "p/a/depth.pfm").read_bytes()
-    assert run("transparent", "sparse", *files, "-o", tmp_path / "q", "-q") == 2
-    told(capsys.readouterr().err)
+    tool.told(2, "transparent", "sparse", *files, "-o", tmp_path / "q", "-q")
     assert run("transparent", "sensor", "-i", tmp_path / "in", "--objects", three, "-o", tmp_path / "q", "-q") == 2

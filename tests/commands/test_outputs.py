@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.cli import main
 from depthcli.evaluation.benchmarks import TEST, TRAINING
 from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import write_png
@@ -32,15 +31,13 @@ RUNS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RUNS)
-def test_a_run(name: str, same: Same, request: pytest.FixtureRequest, tmp_path: Path, capsys):
+def test_a_run(name: str, same: Same, request: pytest.FixtureRequest, tmp_path: Path, tool):
     fixture, *words = RUNS[name]
     scenes = str(request.getfixturevalue(fixture))
     words = [*(word.format(input=scenes) for word in words), "-i", scenes, "-o", str(tmp_path / "run")]
-    assert main(words) == 0
-    same(f"{name}.table.txt", steady_table(capsys.readouterr().out))
+    same(f"{name}.table.txt", steady_table(tool.out(0, *words)))
     same(f"{name}.report.csv", steady_csv((tmp_path / "run" / "report.csv").read_text()))
-    assert main([*words, "--json"]) == 0
-    same(f"{name}.json", steady_json(capsys.readouterr().out))
+    same(f"{name}.json", steady_json(tool.out(0, *words, "--json")))
 
 
 @pytest.fixture
@@ -73,59 +70,47 @@ def scored(tmp_path: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("protocol", ["middlebury-v2", "middlebury-v3", "kitti-2012", "kitti-2015", "eth3d", "booster"])
-def test_an_evaluation(protocol: str, scored: list[str], same: Same, tmp_path: Path, capsys):
+def test_an_evaluation(protocol: str, scored: list[str], same: Same, tmp_path: Path, tool):
     words = [*scored, "--protocol", protocol]
-    assert main([*words, "--tables", "all", "-o", str(tmp_path / "out")]) == 0
-    same(f"evaluate.{protocol}.txt", capsys.readouterr().out)
+    same(f"evaluate.{protocol}.txt", tool.out(0, *words, "--tables", "all", "-o", tmp_path / "out"))
     if protocol != "middlebury-v2":
         return
     for form in ("latex", "markdown", "csv"):
-        assert main([*words, "--format", form]) == 0
-        out = capsys.readouterr().out
+        out = tool.out(0, *words, "--format", form)
         same(f"evaluate.{form}.txt", steady_csv(out) if form == "csv" else out)
-    assert main([*words, "--json"]) == 0
-    same("evaluate.json", steady_json(capsys.readouterr().out, ("version",)))
+    same("evaluate.json", steady_json(tool.out(0, *words, "--json"), ("version",)))
     same("evaluate.report.md", (tmp_path / "out" / "report.md").read_text())
     same("evaluate.scores.csv", steady_csv((tmp_path / "out" / "scores.csv").read_text()[:7000].rpartition("\n")[0]))
 
 
-def test_depth(scored: list[str], same: Same, tmp_path: Path, capsys):
+def test_depth(scored: list[str], same: Same, tmp_path: Path, tool):
     words = ["depth", str(tmp_path / "good" / "a" / "disp_left.pfm"), "--focal", "40", "--baseline", "0.2"]
     words += ["--doffs", "2", "-o", str(tmp_path / "depth")]
-    assert main(words) == 0
-    same("depth.table.txt", steady_table(capsys.readouterr().out))
-    assert main([*words, "--json"]) == 0
-    same("depth.json", steady_json(capsys.readouterr().out))
+    same("depth.table.txt", steady_table(tool.out(0, *words)))
+    same("depth.json", steady_json(tool.out(0, *words, "--json")))
     (depth,) = (tmp_path / "depth").rglob("depth.pfm")
     np.testing.assert_allclose(read_pfm(depth), 40 * 0.2 / (read_pfm(Path(words[1])) + 2), rtol=1e-6)
 
 
-def test_export(same: Same, tmp_path: Path, capsys):
+def test_export(same: Same, tmp_path: Path, tool):
     run = run_of(tmp_path / "run", [*V3.scenes[TRAINING], *V3.scenes[TEST]], quarter)
     words = ["export", str(run), "--for", "middlebury-v3", "--method", "ours", "-o", str(tmp_path / "a.zip")]
-    assert main(words) == 0
-    same("export.txt", "".join(capsys.readouterr()))
-    assert main([*words, "--overwrite", "--json"]) == 0
-    same("export.json", steady_json(capsys.readouterr().out))
+    same("export.txt", "".join(tool.both(0, *words)))
+    same("export.json", steady_json(tool.out(0, *words, "--overwrite", "--json")))
 
 
-def test_presets(same: Same, capsys):
-    assert main(["presets", "--json"]) == 0
-    same("presets.json", steady_json(capsys.readouterr().out))
-    assert main(["presets"]) == 0
-    same("presets.txt", capsys.readouterr().out)
+def test_presets(same: Same, tool):
+    same("presets.json", steady_json(tool.out(0, "presets", "--json")))
+    same("presets.txt", tool.out(0, "presets"))
 
 
 @pytest.mark.slow
-def test_a_sweep(two_scenes: Path, same: Same, tmp_path: Path, capsys):
+def test_a_sweep(two_scenes: Path, same: Same, tmp_path: Path, tool):
     words = ["sweep", "fast", "-i", str(two_scenes), "-o", str(tmp_path / "sweep"), "--over", "optimization.p2=2,8"]
-    assert main(words) == 0
-    same("sweep.txt", re.sub(r"(?m) +\d+\.\d+$", "", capsys.readouterr().out))
-    assert main([*words, "--json"]) == 0
-    same("sweep.json", steady_json(capsys.readouterr().out))
+    same("sweep.txt", re.sub(r"(?m) +\d+\.\d+$", "", tool.out(0, *words)))
+    same("sweep.json", steady_json(tool.out(0, *words, "--json")))
 
 
-def test_samples(same: Same, tmp_path: Path, capsys):
+def test_samples(same: Same, tmp_path: Path, tool):
     words = ["sample", "-n", "3", "--width", "64", "--height", "48", "--max-disparity", "8", "-o", str(tmp_path / "s")]
-    assert main([*words, "--json"]) == 0
-    same("sample.json", steady_json(capsys.readouterr().out))
+    same("sample.json", steady_json(tool.out(0, *words, "--json")))

@@ -17,7 +17,7 @@ from depthcli.methods.stereo.volume import CostVolume
 from depthcli.testing import optimization, refinement
 from depthcli.testing.inputs import TINY, assert_pure, blocky_pair, changed, inside, random_volume, shifted_pair
 from tests.contracts.inputs import blobs, gaps, glass, random_proposals, soft_volume
-from tests.golden import saying
+from tests.golden import refused
 
 CHECKS: dict[str, list[Callable[[Any], None]]] = {
     "methods.stereo.boundary": list(optimization.BOUNDARY_CHECKS),
@@ -163,8 +163,7 @@ def frames_of_any_size_keep_their_depth(pipeline):
             depth.flat[depth.size // 2] = np.nan
         values = pipeline(RgbdFrame(np.zeros((*shape, 3), np.uint8), depth)).depth.values
         np.testing.assert_allclose(values[~np.isnan(values)], 2, rtol=1e-3)
-    with saying(ValueError):
-        pipeline(RgbdFrame(np.zeros((8, 9, 3), np.uint8), np.full((8, 9), np.nan, np.float32)))
+    refused(ValueError, pipeline, RgbdFrame(np.zeros((8, 9, 3), np.uint8), np.full((8, 9), np.nan, np.float32)))
 
 
 @of("methods.kinect.pipeline")

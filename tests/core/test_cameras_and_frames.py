@@ -11,7 +11,7 @@ from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
 from depthcli.core.frames import RgbdFrame, StereoPair, infrared_image
 from depthcli.core.volumes import ENDS, Grid
-from tests.golden import refused, saying
+from tests.golden import refused
 
 MATRIX = np.array([[190.0, 0, 98], [0, 192, 77], [0, 0, 1]])
 CAMERA = Camera(MATRIX, (0.05, -0.03, 0.001, -0.001, 0.0))
@@ -99,8 +99,7 @@ def test_bits_must_fit_the_type():
     image = np.zeros((2, 2), np.uint8)
     assert StereoPair(image, image, 8).grey[0] is image
     for bits in (0, 9):
-        with saying(ValueError):
-            StereoPair(image, image, bits)
+        refused(ValueError, StereoPair, image, image, bits)
 
 
 WORLD = ((2, 1), (1, -1), (0, -1))

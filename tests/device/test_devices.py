@@ -20,7 +20,7 @@ from depthcli.device import DeviceError, DeviceInfo, Kernels, Launch, find_devic
 from depthcli.device.cuda import OPTIONS
 from depthcli.device.dialect import COMMON, CUDA
 from tests.device import nvrtc
-from tests.golden import saying
+from tests.golden import refused
 
 _LIMIT = 400  # seconds
 
@@ -118,13 +118,10 @@ def test_what_names_mean(two_devices, monkeypatch):
     assert find_device("auto") == GPU
     assert find_device("opencl") == GPU
     assert find_device("opencl:0") == SLOW
-    with saying(DeviceError):
-        find_device("opencl:2")
-    with saying(DeviceError):
-        find_device("cuda")
+    refused(DeviceError, find_device, "opencl:2")
+    refused(DeviceError, find_device, "cuda")
     for name in ("gpu", "opencl:", "opencl:x", "cuda:-1"):
-        with saying(ConfigError):
-            find_device(name)
+        refused(ConfigError, find_device, name)
     monkeypatch.setattr(depthcli.device.opencl, "find_devices", lambda: ([SLOW], ""))
     assert find_device("auto") is None  # without a card the processor
 
@@ -137,11 +134,10 @@ def test_no_device_is_one_line_before_anything_is_written(tmp_path, capsys, made
     assert not (tmp_path / "run").exists()
 
 
-def test_devices_says_why_there_is_none(capsys, monkeypatch):
+def test_devices_says_why_there_is_none(tool, monkeypatch):
     for kind in (depthcli.device.opencl, depthcli.device.cuda):
         monkeypatch.setattr(kind, "find_devices", lambda: ([], "no driver"))
-    assert main(["stereo", "--device", "list"]) == 0
-    out, err = capsys.readouterr()
+    out, err = tool.both(0, "stereo", "--device", "list")
     assert out == ""
     assert "opencl: no driver; cuda: no driver" in err
 
@@ -170,12 +166,11 @@ def small_device(monkeypatch):
     ],
 )
 def test_too_little_memory_or_a_driver_that_fails_costs_the_scene(
-    tmp_path, capsys, made_scenes, small_device, memory, messages
+    tmp_path, tool, made_scenes, small_device, memory, messages
 ):
     small_device.info = DeviceInfo("opencl:1", "a card", memory, True, "somebody's")
     scene = ["-i", str(made_scenes), "-o", str(tmp_path / "run"), "--scenes", "planes_0"]
-    assert main(["stereo", "fast", *scene, "--device", "auto"]) == 3
-    said = capsys.readouterr().err
+    said = tool.err(3, "stereo", "fast", *scene, "--device", "auto")
     assert all(message in said for message in messages)
     assert "device: opencl:1\n" in (tmp_path / "run" / "run.yaml").read_text()
 
@@ -272,8 +267,7 @@ def test_a_card_copies_runs_and_is_timed_by_either_package(card):
     kernels = Kernels("depthcli.device", "benchmarks.cl")
     device.launch(kernels, "add_one", (9, 16), (4, 8), there)
     device.launch(kernels, "add_one", (0, 16), (4, 8), there)  # nothing to do
-    with saying(DeviceError):
-        device.launch(kernels, "fail", (9, 16), (4, 8), there)
+    refused(DeviceError, device.launch, kernels, "fail", (9, 16), (4, 8), there)
     device.launches = []
     device.launch(kernels, "add_one", (9, 16), (4, 8), there)
     device.finish()
@@ -292,8 +286,7 @@ def test_too_little_memory_of_a_card_is_said(card):
 
     device = open_device(kind)
     module.empty = module.tools.MemoryPool.return_value.allocate = full
-    with saying(DeviceError):
-        device.empty((4, 5), np.float32)
+    refused(DeviceError, device.empty, (4, 5), np.float32)
 
 
 def test_a_card_that_cannot_be_opened_is_said(card):
@@ -301,8 +294,7 @@ def test_a_card_that_cannot_be_opened_is_said(card):
     assert find_device(kind) is not None
     module.cuda.Device.return_value.use.side_effect = RuntimeError("lost")
     module.CommandQueue.side_effect = RuntimeError("lost")
-    with saying(DeviceError):
-        open_device(kind)
+    refused(DeviceError, open_device, kind)
 
 
 def test_a_driver_that_does_not_answer_is_no_device(card):
@@ -318,5 +310,4 @@ def test_a_kernel_that_the_compiler_refuses_is_named(card):
     device = open_device(kind)
     for compile_ in (module.Program.return_value.build, module.RawModule):
         compile_.side_effect = RuntimeError("clBuildProgram failed\n<kernel>:1: error: unknown type name 'x'")
-    with saying(DeviceError):
-        device.launch(Kernels("depthcli.device", "benchmarks.cl"), "add_one", (9, 16), (4, 8))
+    refused(DeviceError, device.launch, Kernels("depthcli.device", "benchmarks.cl"), "add_one", (9, 16), (4, 8))

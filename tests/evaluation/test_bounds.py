@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.cli import main
 from depthcli.core.bound import Bound
 from depthcli.core.volumes import Grid
 from depthcli.evaluation.bounds import BAD, COVERAGE, COVERING, WORST, bound_means, bound_scores, judged, promised
@@ -133,7 +132,7 @@ def test_promise_of_a_config(text: str, promise: Bound | None):
 @pytest.fixture
 def two_runs(made_scenes: Path, tmp_path: Path) -> list[str]:
     """Return the words of an evaluation of two runs: errors of .5 px above row 20, 4 px below, and 1 px of bound."""
-    name = sorted(path.name for path in made_scenes.iterdir() if (path / "disp_left.pfm").is_file())[0]
+    name = "curved_0"
     truth = read_disparity(made_scenes / name / "disp_left.pfm")
     error = np.full(truth.shape, 4, np.float32)
     error[:20] = 0.5
@@ -149,9 +148,8 @@ def two_runs(made_scenes: Path, tmp_path: Path) -> list[str]:
     return ["evaluate", *runs, "--truth", str(made_scenes), "--scenes", name, "-o", str(tmp_path / "out"), "--html"]
 
 
-def test_evaluate_measures_bounds_of_two_runs(two_runs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert main([*two_runs, "--tables", "bounds"]) == 0
-    assert "said filled" in capsys.readouterr().out
+def test_evaluate_measures_bounds_of_two_runs(two_runs: list[str], tmp_path: Path, tool):
+    assert "said filled" in tool.out(0, *two_runs, "--tables", "bounds")
     out = tmp_path / "out"
     report = json.loads((out / "scores.json").read_text())
     rows = {(r["run"], r["mask"], r["metric"]): r for r in report["bounds"] if r["metric"] != BAD}
@@ -172,21 +170,15 @@ def test_evaluate_measures_bounds_of_two_runs(two_runs: list[str], tmp_path: Pat
     picture = read_image(scene)
     inside, outside = picture[:20].reshape(-1, 3), picture[20:].reshape(-1, 3)
     assert not {tuple(c) for c in inside.tolist()} & {tuple(c) for c in outside.tolist()} - {(255, 255, 255)}
-    page = (out / "report.html").read_text("utf-8")
-    assert "bounds of the error" in page
-    assert "Coverage of the bounds against their level, nonocc" in page
-    assert "truth outside the bound" in page
+    assert "Coverage of the bounds against their level, nonocc" in (out / "report.html").read_text("utf-8")
     assert "bounds/b/" in (out / "report.md").read_text("utf-8")
 
 
-def test_runs_without_bounds_have_no_table_and_damaged_ones_a_warning(
-    two_runs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_runs_without_bounds_have_no_table_and_damaged_ones_a_warning(two_runs: list[str], tmp_path: Path, tool):
     (bound_a,), (bound_b,) = (tuple((tmp_path / run).rglob("bound.pfm")) for run in "ab")
     bound_a.unlink()
     bound_b.write_bytes(b"damaged")
-    assert main([*two_runs, "--tables", "all"]) == 0
-    printed = capsys.readouterr()
+    printed = tool.both(0, *two_runs, "--tables", "all")
     assert "bounds of the error" not in printed.out
     assert "bound.pfm" in printed.err
     assert json.loads((tmp_path / "out" / "scores.json").read_text())["bounds"] == []

@@ -5,12 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.cli import main
 from depthcli.evaluation.curves import N_BINS, HiddenPixels, Reliability, hidden_pixels, reliability
 from depthcli.evaluation.map_files import DisparityFiles
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import read_grey, write_png
-from tests.golden import told
 
 
 def test_a_measure_called_probability_is_not_that_of_the_map(tmp_path: Path):
@@ -57,8 +55,8 @@ def test_hidden_pixels_by_hand():
     assert math.isnan(HiddenPixels(0, 0, 0, 4).shares()["precision"])
 
 
-def test_evaluate_reads_confidence_and_status(made_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    name = sorted(path.name for path in made_scenes.iterdir() if (path / "disp_left.pfm").is_file())[0]
+def test_evaluate_reads_confidence_and_status(made_scenes: Path, tmp_path: Path, tool):
+    name = "curved_0"
     visible = read_grey(made_scenes / name / "mask_nonocc.png") == 255
     folder = tmp_path / "run" / name
     folder.mkdir(parents=True)
@@ -67,10 +65,7 @@ def test_evaluate_reads_confidence_and_status(made_scenes: Path, tmp_path: Path,
     write_pfm(folder / "confidence_da.pfm", np.full(visible.shape, 0.5, np.float32))  # a share, no probability
     write_png(folder / "status.png", np.where(visible, 0, [1, 4] * (visible.shape[1] // 2)).astype(np.uint8))
     words = ["evaluate", tmp_path / "run", "--truth", made_scenes, "--scenes", name, "-o", tmp_path / "out", "--html"]
-    assert main([str(word) for word in [*words, "--tables", "confidence,hidden"]]) == 0
-    printed = capsys.readouterr().out
-    assert "ECE" in printed
-    assert "Hidden pixels" in printed
+    assert "Hidden pixels" in tool.out(0, *words, "--tables", "confidence,hidden")
     (result,) = json.loads((tmp_path / "out" / "scores.json").read_text())["results"]
     assert result["hidden"]["F1"] == 100
     curve = next(c for c in result["confidence"] if (c["measure"], c["mask"], c["of"]) == ("confidence", "all", "bad"))
@@ -79,5 +74,4 @@ def test_evaluate_reads_confidence_and_status(made_scenes: Path, tmp_path: Path,
     assert {c["of"] for c in result["confidence"] if c["measure"] == "da"} == {"bad", "error"}
     assert "Reliability, all" in (tmp_path / "out" / "report.html").read_text("utf-8")
     (folder / "status.png").write_bytes(b"damaged")
-    assert main([str(word) for word in words]) == 0
-    told(capsys.readouterr().err)
+    tool.told(0, *words)

@@ -11,7 +11,7 @@ from scipy.stats import rankdata
 
 from depthcli.evaluation.curves import PERCENTAGES, sparsification
 from depthcli.evaluation.statistics import average_ranks, compare, holm, smallest_p
-from tests.golden import saying
+from tests.golden import refused
 from tests.naive import metrics as naive
 
 
@@ -58,8 +58,7 @@ def test_infinite_and_unknown_confidences():
         curve = sparsification(confidence, np.array(wrong, bool))
         places = [curve.errors[PERCENTAGES.index(p)] > 0 for p in (25, 50, 75, 100)]
         assert places.index(True) == {0: 3, 1: 2, 3: 0}[last]
-    with saying(ValueError):
-        sparsification(np.zeros(0), np.zeros(0, bool))
+    refused(ValueError, sparsification, np.zeros(0), np.zeros(0, bool))
 
 
 @given(st.integers(1, 5), st.integers(1, 6), st.integers(0, 10**6))

@@ -82,15 +82,13 @@ def test_archive_is_its_folder(scenes: Path, tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.slow
-def test_commands_on_archives_give_the_bytes_of_the_folder(scenes: Path, tmp_path: Path, capsys) -> None:
+def test_commands_on_archives_give_the_bytes_of_the_folder(scenes: Path, tmp_path: Path, tool) -> None:
     archive = _zip(scenes, tmp_path / "scenes.zip")
     for place, output in ((scenes, "folder"), (archive, "archive")):
         assert main(["stereo", "fast", "-i", str(place), "-o", str(tmp_path / output), "-q"]) == 0
     assert contents(tmp_path / "folder") == contents(tmp_path / "archive")
     run = _zip(tmp_path / "folder", tmp_path / "run.zip")
-    capsys.readouterr()
-    assert main(["evaluate", str(run), "--truth", str(archive), "--json"]) == 0
-    assert '"s1"' in capsys.readouterr().out
+    assert '"s1"' in tool.out(0, "evaluate", run, "--truth", archive, "--json")
     for place, output in ((tmp_path / "folder", "one"), (run, "two")):
         words = ["--focal", "30", "--baseline", "0.1", "-q", "-o", str(tmp_path / output)]
         assert main(["depth", str(place), *words]) == 0
@@ -214,7 +212,7 @@ def server(scenes: Path) -> Iterator[str]:
 
 
 @pytest.mark.slow
-def test_urls(scenes: Path, server: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_urls(scenes: Path, server: str, tmp_path: Path, tool) -> None:
     memory = pytest.importorskip("fsspec").filesystem("memory")
     memory.pipe("/store/a.zip", (scenes.parent / "a.zip").read_bytes())
     for file in _files(scenes):
@@ -227,14 +225,12 @@ def test_urls(scenes: Path, server: str, tmp_path: Path, capsys: pytest.CaptureF
     signed = discover_scenes(f"{server}/a.zip?token=secret", ALL_KINDS)[1].input_files["left"]
     assert origin(signed) == f"{server}/a.zip/s1/left.png"
     pair = [f"{server}/a.zip/s1/left.png", "--right", f"{server}/scenes/s1/right.png", "--max-disparity", "8"]
-    assert main(["stereo", "fast", "--left", *pair, "-o", str(tmp_path / "pair"), "-q"]) == 0
-    capsys.readouterr()
+    tool.both(0, "stereo", "fast", "--left", *pair, "-o", tmp_path / "pair", "-q")
     for url, words in {
         f"{server}/none.zip": "no such file", f"{server}/broken.zip": "the server failed",
         "http://127.0.0.1:1/a.zip": "the server failed", "nosuch://x/a.zip": "no URL that can be read",
     }.items():  # fmt: skip
-        assert main(["stereo", "fast", "-i", url, "-o", str(tmp_path / "out")]) == 2
-        (line,) = capsys.readouterr().err.splitlines()
+        (line,) = tool.err(2, "stereo", "fast", "-i", url, "-o", tmp_path / "out").splitlines()
         assert url in line and words in line
 
 
@@ -273,10 +269,9 @@ def test_urls_are_shown_without_secrets(text: str, shown: str) -> None:
     assert without_secrets(text) == shown
 
 
-def test_urls_without_the_extra(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_urls_without_the_extra(monkeypatch: pytest.MonkeyPatch, tool) -> None:
     monkeypatch.setitem(__import__("sys").modules, "fsspec", None)
-    assert main(["stereo", "fast", "-i", "https://127.0.0.1/x.zip", "-o", os.devnull]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    (line,) = tool.err(2, "stereo", "fast", "-i", "https://127.0.0.1/x.zip", "-o", os.devnull).splitlines()
     assert "https://127.0.0.1/x.zip: " in line and "pip install 'depthcli[remote]'" in line
 
 

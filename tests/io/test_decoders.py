@@ -15,7 +15,7 @@ from depthcli.io.formats.disparity import read_mask, read_plane
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_color8, read_grey, read_image, read_pair, write_png
 from depthcli.problems.inputs import as_color8
-from tests.golden import saying
+from tests.golden import refused, warned
 
 RNG = np.random.default_rng(0)
 WIDE = RNG.integers(0, 65536, (40, 50, 4)).astype(np.uint16)
@@ -59,8 +59,7 @@ def test_transparency_and_inverse_grey_of_sixteen_bits(tmp_path: Path):
     ],
 )
 def test_what_is_no_image_is_said_with_what_is_expected(tmp_path: Path, values, options):
-    with saying(InputError):
-        read_image(stored(tmp_path, values, **options))
+    refused(InputError, read_image, stored(tmp_path, values, **options))
 
 
 @pytest.mark.parametrize("dtype", ["f2", "f4", "f8", "i1", "i2", "i4", "u4", ">i2", ">f4", ">f2"])
@@ -76,8 +75,7 @@ def test_maps_of_every_kind_of_number(tmp_path: Path, dtype, compression):
 
 
 def test_maps_of_several_channels_are_refused(tmp_path: Path):
-    with saying(InputError):
-        read_plane(stored(tmp_path, RGB.astype(np.float32), photometric="rgb"))
+    refused(InputError, read_plane, stored(tmp_path, RGB.astype(np.float32), photometric="rgb"))
 
 
 def test_values_of_eight_bits_in_files_of_sixteen(tmp_path: Path):
@@ -113,8 +111,7 @@ def test_a_mosaic_is_named_and_textures_are_not(tmp_path: Path):
     }
     for name, image in images.items():
         write_png(tmp_path / f"{name}.png", image)
-        with collected_warnings() as lines:
-            read_image(tmp_path / f"{name}.png")
+        _, lines = warned(read_image, tmp_path / f"{name}.png")
         assert any("Bayer" in line for line in lines) == name.startswith("mosaic"), name
 
 
@@ -122,29 +119,24 @@ def test_the_rest_of_a_file_of_several_images_is_refused_or_named(tmp_path: Path
     grey = (GREY >> 8).astype(np.uint8)
     pages = stored(tmp_path, np.stack([grey] * 3), photometric="minisblack")
     for read in (read_image, read_grey, read_plane):
-        with saying(InputError):
-            read(pages)
-    with saying(InputError):
-        read_plane(stored(tmp_path, np.stack([grey] * 3).astype(np.float32), photometric="minisblack"))
+        refused(InputError, read, pages)
+    refused(InputError, read_plane, stored(tmp_path, np.stack([grey] * 3).astype(np.float32), photometric="minisblack"))
     with tifffile.TiffWriter(tmp_path / "b.tif") as file:  # a pyramid has one image
         file.write(grey, photometric="minisblack")
         file.write(grey[::2, ::2], photometric="minisblack", subfiletype=1)
     np.testing.assert_array_equal(read_image(tmp_path / "b.tif"), grey)
     frames = [PIL.Image.fromarray(np.roll(grey, k)) for k in range(3)]
     frames[0].save(tmp_path / "a.png", save_all=True, append_images=frames[1:])
-    with saying(InputError):
-        read_image(tmp_path / "a.png")
+    refused(InputError, read_image, tmp_path / "a.png")
     for kind in ("GIF", "WEBP"):
         file = BytesIO()
         frames[0].save(file, kind, save_all=True, append_images=frames[1:])
         (tmp_path / "g.png").write_bytes(file.getvalue())
-        with saying(InputError):
-            read_image(tmp_path / "g.png")
+        refused(InputError, read_image, tmp_path / "g.png")
     frames[0].save(tmp_path / "m.jpg", "MPO", save_all=True, append_images=frames[1:])
     (tmp_path / "n.pgm").write_bytes(2 * (b"P5 2 1 255\n" + bytes([7, 9])))
     for name, words in (("m.jpg", "3 images"), ("n.pgm", "bytes follow")):
-        with collected_warnings() as lines:
-            read_image(tmp_path / name)
+        _, lines = warned(read_image, tmp_path / name)
         assert any(f"{name}: " in line and words in line for line in lines)
 
 
@@ -152,11 +144,9 @@ def test_codes_of_which_zero_is_white_are_refused(tmp_path: Path):
     for values in (GREY > 30000, GREY):
         path = stored(tmp_path, values, photometric="miniswhite")
         for read in (read_grey, read_mask):
-            with saying(InputError):
-                read(path)
+            refused(InputError, read, path)
 
 
 def test_big_tiff_in_either_order(tmp_path: Path):
     np.testing.assert_array_equal(read_image(stored(tmp_path, RGB, photometric="rgb", bigtiff=True)), RGB)
-    with saying(InputError):
-        read_image(stored(tmp_path, RGB, photometric="rgb", bigtiff=True, byteorder=">"))
+    refused(InputError, read_image, stored(tmp_path, RGB, photometric="rgb", bigtiff=True, byteorder=">"))

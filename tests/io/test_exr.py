@@ -11,7 +11,7 @@ from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import image_size, read_image
-from tests.golden import refused
+from tests.golden import refused, warned
 
 OpenEXR = pytest.importorskip("OpenEXR")
 
@@ -51,8 +51,7 @@ def test_the_channels_that_are_left_out_are_named_and_guesses_refused(tmp_path: 
 def test_the_background_of_a_renderer_is_no_depth(tmp_path: Path):
     values = VALUES.copy()
     values[:2] = 1e10
-    with collected_warnings() as lines:
-        found = read_depth(stored(tmp_path, V=values))
+    found, lines = warned(read_depth, stored(tmp_path, V=values))
     np.testing.assert_array_equal(np.isnan(found), values > 100)
     assert "1e+10" in lines[0]
 

@@ -14,7 +14,7 @@ from depthcli.core.volumes import Grid, Volume
 from depthcli.io.formats.fields import in_millimeters, read_field, read_landmarks, read_moving_transform, read_transform
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.volumes import itk_image, write_array
-from tests.golden import refused, saying
+from tests.golden import refused, warned
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -198,8 +198,7 @@ def test_elastix_chain_of_affine_and_spline(tmp_path):
 def test_elastix_chain_that_comes_back(tmp_path):
     file = tmp_path / "t.txt"
     elastix(file, "TranslationTransform", [1.0, 2.0, 3.0], "t.txt")
-    with saying(InputError):
-        read_moving_transform(file, None, "auto", Volume(np.zeros(GRID.shape, np.float32), GRID), None)
+    refused(InputError, read_moving_transform, file, None, "auto", Volume(np.zeros(GRID.shape, np.float32), GRID), None)
 
 
 def test_a_damaged_field_is_named_once(tmp_path):
@@ -220,8 +219,7 @@ def test_displacements_that_are_no_numbers_blame_their_file(tmp_path, kind):
     else:
         nifti(path, values, dims=4 if kind == "voxels.nii" else 5)
     fixed, moving = volumes()
-    with saying(InputError):
-        read_moving_transform(None, path, "auto", fixed, moving)
+    refused(InputError, read_moving_transform, None, path, "auto", fixed, moving)
 
 
 @pytest.mark.parametrize("convention", ["auto", "itk"])
@@ -250,8 +248,7 @@ def test_an_inverted_transform_is_said(tmp_path):
     both = [Volume(SimpleITK.GetArrayFromImage(image), GRID) for image in (fixed, moving)]
     for name, transform in (("right", affine().GetInverse()), ("wrong", affine())):
         SimpleITK.WriteTransform(transform, str(tmp_path / f"{name}.tfm"))
-        with collected_warnings() as lines:
-            read_moving_transform(tmp_path / f"{name}.tfm", None, "auto", *both)
+        _, lines = warned(read_moving_transform, tmp_path / f"{name}.tfm", None, "auto", *both)
         assert [("inverted" in line) for line in lines] == [True] * (name == "wrong")
 
 

@@ -19,7 +19,7 @@ from depthcli.io.formats.disparity import read_status, write_codes, write_pfm, w
 from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, collected_warnings, write_text
 from depthcli.io.formats.images import bits_said, image_size, read_grey, read_image, read_pair, write_png
 from depthcli.show.view import DEPTH_STATUS_PALETTE, MEASURED_CODE, STATUS_PALETTE, status_colors, status_words
-from tests.golden import refused, saying
+from tests.golden import refused, warned
 
 
 def png(width: int, height: int, depth: int, color: int, rows: bytes, *extra: tuple[bytes, bytes]) -> bytes:
@@ -81,8 +81,7 @@ def test_exif_orientation_is_applied_and_said(kind: str, orientation: int, tmp_p
     stored = PIL.Image.fromarray(blocks)
     stored.getexif()[274] = orientation
     stored.save(path, exif=stored.getexif())
-    with collected_warnings() as lines:
-        image = read_image(path)
+    image, lines = warned(read_image, path)
     upright = np.asarray(PIL.ImageOps.exif_transpose(stored), int)
     assert np.abs(image.astype(int) - upright).max() <= 6  # JPEG loses a little
     assert image_size(path) == image.shape == ((16, 24) if orientation < 5 else (24, 16))
@@ -189,16 +188,14 @@ def test_views_of_different_numbers_of_bits_are_named(tmp_path: Path):
     for name, image in (("full", full), ("twelve", full >> 4), ("dim", full // 2)):
         write_png(tmp_path / f"{name}.png", image)
     for pair in (("full", "twelve"), ("twelve", "full")):
-        with collected_warnings() as lines:
-            read_pair(*(tmp_path / f"{name}.png" for name in pair))
+        _, lines = warned(read_pair, *(tmp_path / f"{name}.png" for name in pair))
         assert any(f"{pair[1]}.png" in line and "number of bits" in line for line in lines)
     with collected_warnings() as lines:
         read_pair(tmp_path / "full.png", tmp_path / "dim.png")  # another exposure
     assert not lines
     for top in (1023, 4095):
         (tmp_path / f"{top}.pgm").write_bytes(b"P5 30 20 %d\n" % top + (full % (top + 1)).astype(">u2").tobytes())
-    with collected_warnings() as lines:
-        read_pair(tmp_path / "1023.pgm", tmp_path / "4095.pgm")
+    _, lines = warned(read_pair, tmp_path / "1023.pgm", tmp_path / "4095.pgm")
     assert "number of bits" in lines[0]
 
 
@@ -218,8 +215,7 @@ def test_samples_of_ten_and_twelve_bits(tmp_path: Path):
     assert read_pair(right, right).bits == 14
     assert read_pair(left, right).bits == 10  # the files disagree: what is found counts
     write_png(tmp_path / "c.png", np.zeros((1, 3, 3), np.uint16))
-    with saying(InputError):
-        read_pair(left, tmp_path / "c.png")
+    refused(InputError, read_pair, left, tmp_path / "c.png")
 
 
 def test_a_grey_and_a_color_image_become_two_grey_ones(tmp_path: Path):
@@ -270,8 +266,7 @@ def test_atomic_write_keeps_the_old_file_on_failure(tmp_path: Path):
 
 def test_write_png_refuses_what_png_cannot_hold(tmp_path: Path):
     for array in (np.zeros((2, 2), np.float32), np.zeros((2, 2, 4), np.uint8), np.zeros(3, np.uint8)):
-        with saying(ValueError):
-            write_png(tmp_path / "a.png", array)
+        refused(ValueError, write_png, tmp_path / "a.png", array)
     write_png(tmp_path / "a.png", np.array([[True, False]]))
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), [[255, 0]])
 
@@ -291,8 +286,7 @@ def test_every_reader_gives_the_codes_of_a_status_map(tmp_path: Path):
     status = read_status(tmp_path / "status.png")
     np.testing.assert_array_equal(status, codes)
     np.testing.assert_array_equal(status.measured, codes == 0)
-    with saying(ValueError):
-        write_status(tmp_path / "status.png", codes.astype(int))
+    refused(ValueError, write_status, tmp_path / "status.png", codes.astype(int))
 
 
 def test_status_maps_of_earlier_versions_are_read(tmp_path: Path):

@@ -17,7 +17,7 @@ from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.frames import FRAMES
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import true_disparity
-from tests.golden import saying
+from tests.golden import refused, saying, warned
 
 INSIDE = np.zeros((24, 32), bool)
 INSIDE[6:18, 8:24] = True
@@ -73,10 +73,8 @@ def test_glass_and_evaluation_read_masks_alike(tmp_path: Path, top: int):
 
 def test_an_empty_mask_fails_the_glass_and_is_said_in_evaluation(tmp_path: Path):
     scene = frame(tmp_path / "a", np.zeros(INSIDE.shape, np.uint8))
-    with saying(InputError):
-        load_masked_frame(scene)
-    with collected_warnings() as lines:
-        true_depth(scene)
+    refused(InputError, load_masked_frame, scene)
+    _, lines = warned(true_depth, scene)
     assert "mask_transparent.png: no pixel is inside" in lines[0]
     with saying(InputError):
         depthcli.complete_transparent(np.zeros((24, 32, 3), np.uint8), DEPTH, objects=np.zeros((24, 32), bool))

@@ -18,7 +18,7 @@ from depthcli.io.scenes.frames import FRAMES
 from depthcli.io.scenes.pairs import PAIRS, pairs_of_patterns, scenes_of_table
 from depthcli.io.stereo_pairs import load_views
 from tests.command_line import run
-from tests.golden import refused, told
+from tests.golden import refused
 from tests.scenes import load
 
 IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)
@@ -112,7 +112,7 @@ def video(path: Path, shift: int, count: int = 5, rate: float = 10) -> Path:
 
 
 @pytest.mark.slow
-def test_videos(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_videos(tmp_path: Path, tool):
     left, right = video(tmp_path / "l.avi", 0), video(tmp_path / "r.avi", 6)
     scenes = named_scenes(StereoScene, {"left": left, "right": right})
     assert [scene.name for scene in scenes] == [f"{k:06}" for k in range(5)]
@@ -130,8 +130,7 @@ def test_videos(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     one, other = (folder / "000004/disp_left.pfm" for folder in (tmp_path / "run", again))
     assert one.read_bytes() == other.read_bytes()
     (tmp_path / "bad.avi").write_bytes(left.read_bytes()[:90])
-    assert run("stereo", "opencv-bm", "--left", tmp_path / "bad.avi", "--right", right, "-o", tmp_path / "x") == 2
-    told(capsys.readouterr().err)
+    tool.told(2, "stereo", "opencv-bm", "--left", tmp_path / "bad.avi", "--right", right, "-o", tmp_path / "x")
 
 
 @pytest.mark.parametrize(("rate", "is_refused"), [(29.97, False), (30, False), (15, True), (25, True)])
@@ -172,7 +171,7 @@ def test_numbered_folders_of_two_lengths_are_warned_of(tmp_path: Path, rights: S
 
 
 @pytest.mark.parametrize("halves", ["left-right", "top-bottom", "mpo"])
-def test_both_views_in_one_file(tmp_path: Path, halves: str, capsys: pytest.CaptureFixture[str]):
+def test_both_views_in_one_file(tmp_path: Path, halves: str, tool):
     """As an image, as files of a folder, by --left alone: the map of the two files."""
     noise = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 255, (40, 90, 3), np.uint8), (0, 0), 1.5) * 2
     left, right = (np.ascontiguousarray(noise[:, k : k + 80]) for k in (0, 6))
@@ -203,10 +202,9 @@ def test_both_views_in_one_file(tmp_path: Path, halves: str, capsys: pytest.Capt
         assert run(*line, "--left", tmp_path / "in", *how, "-o", tmp_path / "q") == 0
         assert (tmp_path / "q/a/disp_left.pfm").read_bytes() == expected
         for wrong in (("--halves", "right-left"), ("--right", both, *how)):
-            assert run(*line, "--left", both, *wrong, "-o", tmp_path / "r") == 2
+            tool.told(2, *line, "--left", both, *wrong, "-o", tmp_path / "r")
         write_png(both, np.zeros((41, 81), np.uint8))
-        assert run(*line, "--left", both, *how, "-o", tmp_path / "r") == 3
-        told(capsys.readouterr().err)
+        tool.told(3, *line, "--left", both, *how, "-o", tmp_path / "r")
 
 
 def find(folder: Path) -> dict[str, StereoScene]:
@@ -254,7 +252,7 @@ def test_what_a_run_or_a_scene_holds_are_no_pairs(tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_the_command_line(tmp_path: Path, made_scenes: Path, capsys):
+def test_the_command_line(tmp_path: Path, made_scenes: Path, tool):
     for scene in ("planes_0", "planes_1"):
         for view in ("left", "right"):
             (tmp_path / view).mkdir(exist_ok=True)
@@ -270,8 +268,7 @@ def test_the_command_line(tmp_path: Path, made_scenes: Path, capsys):
         assert run("stereo", "opencv-bm", *given, *how, "-o", tmp_path / name) == 0
         for file in ("planes_0/disp_left.pfm", "planes_1/disp_left.pfm"):
             assert (tmp_path / name / file).read_bytes() == (tmp_path / "scenes" / file).read_bytes()
-    assert run("stereo", "opencv-bm", *globs, *how, "-o", tmp_path / "x", "--name", "a") == 2
-    told(capsys.readouterr().err)
+    tool.told(2, "stereo", "opencv-bm", *globs, *how, "-o", tmp_path / "x", "--name", "a")
     assert run("stereo", "opencv-bm", *globs, *how, "-o", tmp_path / "x", "--scenes", "absent*") == 2
     assert run("stereo", "opencv-bm", "-i", tmp_path / "pairs.csv", *how, "-o", tmp_path / "x", "--evaluate") == 2
     assert run("stereo", "opencv-bm", "-i", "-", *how, "-o", tmp_path / "x", "--evaluate") == 2
@@ -289,14 +286,12 @@ def test_a_table_from_the_standard_input(separator: str, tmp_path: Path, monkeyp
     assert second.name == "second"
 
 
-def test_patterns_are_suggested_where_no_layout_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_patterns_are_suggested_where_no_layout_fits(tmp_path: Path, tool) -> None:
     put(tmp_path / "my rig", "port/1.jpg", "port/2.jpg", "starboard/1.jpg", "thumbs/a.png")
     arguments = "stereo", "opencv-bm", "-o", tmp_path / "run", "--dry-run"
-    assert run(*arguments, "-i", tmp_path / "my rig") == 2
-    err = capsys.readouterr().err
+    err = tool.err(2, *arguments, "-i", tmp_path / "my rig")
     left, right = tmp_path / "my rig/port/*.jpg", tmp_path / "my rig/starboard/*.jpg"
     assert f"--left '{left}' --right '{right}'" in err and err.count("\n") == 1
     assert run(*arguments, "--left", left, "--right", right) == 0
     put(tmp_path / "other", "a/1.jpg", "b/x.jpg")
-    assert run(*arguments, "-i", tmp_path / "other") == 2
-    told(capsys.readouterr().err)
+    tool.told(2, *arguments, "-i", tmp_path / "other")

@@ -18,7 +18,6 @@ from depthcli.evaluation.protocols.depth import DepthProtocol
 from depthcli.evaluation.protocols.eth3d import Eth3dProtocol
 from depthcli.io.formats.depth import write_depth_png
 from depthcli.io.formats.disparity import write_pfm
-from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_grey, write_png
 from depthcli.io.rgbd_frames import (
     KinectCalibration,
@@ -38,7 +37,7 @@ from depthcli.problems.transparent import Transparent
 from tests.cli.test_rectify import opencv
 from tests.command_line import run
 from tests.contracts.layouts import check_layout
-from tests.golden import refused, saying
+from tests.golden import refused, warned
 from tests.scenes import DATA, load, needs_data, true
 
 COLOR = np.arange(6 * 8 * 3, dtype=np.uint8).reshape(6, 8, 3)
@@ -88,32 +87,30 @@ def test_frames_in_folders_of_color_and_depth(tmp_path: Path):
         ("cup7", "depth_cup7.png", ""), ("cup8", "depth_cup8.png", ""),
     ]  # fmt: skip
     (tmp_path / "a/rgb.txt").touch()
-    with saying(InputError):
-        discover_scenes(tmp_path / "a", FRAMES)
+    refused(InputError, discover_scenes, tmp_path / "a", FRAMES)
 
 
 @pytest.mark.parametrize(
-    ("meta", "warned"),
+    ("meta", "texts"),
     [
         ({"depth_scale": 2000, "fb": 6}, []),
         ({"depth_scale": 2000, "fb": 60000}, ["meta.json: fb 60000 makes the median disparity 6e+04 px"]),
         ({"depth_scale": 5e5}, ["depth.png: the median depth is 0.004 m at 500000 codes per meter"]),
     ],
 )
-def test_implausible_inputs_are_warned_of(tmp_path: Path, meta: dict[str, float], warned: list[str]):
+def test_implausible_inputs_are_warned_of(tmp_path: Path, meta: dict[str, float], texts: list[str]):
     write_png(write(tmp_path / "a", **meta) / "depth_true.png", DEPTH)
     (scene,) = find(tmp_path)
     for read, end in ((load, "depth.png"), (true, "depth_true.png")):
-        with collected_warnings() as lines:
-            read(scene)
-        assert len(lines) == len(warned)
-        for line, text in zip(lines, warned, strict=True):
+        _, lines = warned(read, scene)
+        assert len(lines) == len(texts)
+        for line, text in zip(lines, texts, strict=True):
             assert text.replace("depth.png", end) in line
 
 
 @pytest.mark.parametrize("key", ["intrinsics", "depth_intrinsics"])
-@pytest.mark.parametrize(("center", "warned"), [((29.5, 19.5), False), ((60, 40), True), ((14.5, 9.5), True)])
-def test_intrinsics_of_another_size_are_warned_of(tmp_path: Path, key: str, center: tuple[float, float], warned: bool):
+@pytest.mark.parametrize(("center", "is_said"), [((29.5, 19.5), False), ((60, 40), True), ((14.5, 9.5), True)])
+def test_intrinsics_of_another_size_are_warned_of(tmp_path: Path, key: str, center: tuple[float, float], is_said: bool):
     """Of meta.json and of options, of color and of depth, with a color image and without; from Python, too."""
     own = {"fx": 60.0, "fy": 60.0, "cx": 29.5, "cy": 19.5}
     cameras = {"intrinsics": own, key: own | {"cx": center[0], "cy": center[1]}}
@@ -125,20 +122,19 @@ def test_intrinsics_of_another_size_are_warned_of(tmp_path: Path, key: str, cent
         (row,) = json.loads((tmp_path / "out/report.json").read_text())["scenes"]
         return any(f"{key}: the principal point" in line for line in row["warnings"] or [])
 
-    assert said("-i", tmp_path / "in") is warned
+    assert said("-i", tmp_path / "in") is is_said
     camera = f"60,60,{center[0]},{center[1]}"
     option = ["--intrinsics", camera] if key == "intrinsics" else ["--depth-intrinsics", camera]
     option += [] if key == "intrinsics" else ["--intrinsics", "60,60,29.5,19.5"]
     (tmp_path / "in/a/meta.json").unlink()
-    assert said("-i", tmp_path / "in", *option) is warned
+    assert said("-i", tmp_path / "in", *option) is is_said
     if key == "intrinsics":
-        assert said("--depth", tmp_path / "in/a/depth.png", *option) is warned
+        assert said("--depth", tmp_path / "in/a/depth.png", *option) is is_said
     fields = {name: tuple(value.values()) for name, value in cameras.items()}
     result = depthcli.refine_depth(color, depth, preset="nearest", **fields)
-    assert warned is any(f"{key}: the principal point" in line for line in result.warnings)
-    with collected_warnings() as lines:
-        result.to_points(intrinsics=(60, 60, *center))
-    assert warned is bool(lines)
+    assert is_said is any(f"{key}: the principal point" in line for line in result.warnings)
+    _, lines = warned(result.to_points, intrinsics=(60, 60, *center))
+    assert is_said is bool(lines)
 
 
 def test_meters_and_a_missing_fb(tmp_path: Path):

@@ -16,7 +16,7 @@ from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes, scenes_with_files
 from depthcli.io.scenes.pairs import PAIRS
 from tests.contracts.layouts import check_layout
-from tests.golden import refused, saying
+from tests.golden import refused
 from tests.scenes import load, true
 
 HEIGHT, WIDTH = 6, 8
@@ -317,11 +317,10 @@ def test_the_truth_of_eth3d_lies_in_a_folder_beside(tmp_path: Path):
 def test_many_view_scenes_of_eth3d_are_refused(tmp_path: Path, camera: str):
     for name in (camera, "images"):
         (tmp_path / "delivery_area" / name).mkdir(parents=True)
-    with saying(InputError):
-        find(tmp_path / "delivery_area")
+    refused(InputError, find, tmp_path / "delivery_area")
     eth3d(tmp_path)
-    refused, usable = discover_scenes(tmp_path, PAIRS)
-    assert "many-view" in refused.problem
+    useless, usable = discover_scenes(tmp_path, PAIRS)
+    assert "many-view" in useless.problem
     assert usable.layout == "eth3d"
 
 

@@ -13,12 +13,11 @@ from scipy.spatial.transform import Rotation
 from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, RegisteredPair
-from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.volumes import read_grid, read_volume, transform_files, volume_files, write_array
 from depthcli.io.scenes import VolumePairScene
 from depthcli.io.scenes.kinds import distortion_map
 from depthcli.io.volume_pairs import LoadedPair, label_masks, load_volumes, true_errors
-from tests.golden import refused
+from tests.golden import refused, warned
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -226,8 +225,7 @@ def test_landmarks_that_are_no_pairs_are_said(tmp_path: Path):
     ):
         np.savetxt(files["landmarks_fixed"], fixed, delimiter=",")
         np.savetxt(files["landmarks_moving"], moving, delimiter=",")
-        with collected_warnings() as lines:
-            true_errors(scene)
+        _, lines = warned(true_errors, scene)
         assert len(lines) == (words is not None) and all(words in line for line in lines)
     np.savetxt(files["landmarks_fixed"], places[:, ::-1], delimiter=",")
     refused(InputError, true_errors, scene)
@@ -244,8 +242,7 @@ def test_masks_and_scans_in_each_other_s_place_are_said(tmp_path: Path):
     ):
         files = {"fixed": "scan", "moving_warped": warped, "mask": mask}
         paths = {role: tmp_path / f"{name}.mha" for role, name in files.items()}
-        with collected_warnings() as lines:
-            load_volumes(VolumePairScene(name="a", folder=tmp_path, **paths))
+        _, lines = warned(load_volumes, VolumePairScene(name="a", folder=tmp_path, **paths))
         assert len(lines) == len(words) and all(word in line for word, line in zip(words, lines, strict=True))
 
 

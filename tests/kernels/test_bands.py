@@ -8,7 +8,7 @@ import pytest
 
 from depthcli.kernels.jit import n_threads, run_bands, set_threads
 from tests.command_line import in_threads
-from tests.golden import saying
+from tests.golden import refused
 
 
 @pytest.fixture(params=[1, 2, 3, 16])
@@ -52,8 +52,7 @@ def test_an_error_in_any_band_reaches_the_caller():
         if end == 20:
             raise MemoryError("too large")
 
-    with saying(MemoryError):
-        run_bands(refuse, 20)
+    refused(MemoryError, run_bands, refuse, 20)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs copies of this process")

@@ -118,8 +118,7 @@ def test_the_pair_gives_a_range_that_is_not_given(pair: Images):
     assert found.search == requested.search and found.key_points["range_matches"] > 16
     assert len(found.warnings) == len(requested.warnings) + 1
     assert f'"auto" was taken, which gives {found.search.max_disparity} px' in found.warnings[-1]
-    with saying(depthcli.InputError):
-        depthcli.stereo(np.zeros((40, 60), np.uint8), np.zeros((40, 60), np.uint8))
+    refused(depthcli.InputError, depthcli.stereo, np.zeros((40, 60), np.uint8), np.zeros((40, 60), np.uint8))
 
 
 def test_volumes_made_elsewhere(pair: Images):

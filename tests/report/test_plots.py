@@ -72,15 +72,13 @@ def test_matplotlib_is_not_imported_where_nothing_is_drawn(tmp_path: Path, scene
 
 
 @pytest.mark.slow
-def test_plots_tables_and_files_name_the_same_statistic(tmp_path: Path, scenes: Path, runs: list[Path], capsys):
+def test_plots_tables_and_files_name_the_same_statistic(tmp_path: Path, scenes: Path, runs: list[Path], tool):
     """KITTI 2015 pools its scores over the pixels; areas of curves are means of maps, calibration errors pooled."""
     words = ["evaluate", str(runs[0]), "--truth", str(scenes), "--protocol", "kitti-2015"]
     assert main([*words, "-o", str(tmp_path), "--html"]) == 0
     printed = {}
     for form in ("", "latex", "csv"):
-        capsys.readouterr()
-        assert main([*words, "--tables", "confidence", *(["--format", form] if form else [])]) == 0
-        printed[form] = capsys.readouterr().out
+        printed[form] = tool.out(0, *words, "--tables", "confidence", *(["--format", form] if form else []))
         assert "mean of 2" in printed[form] and "pooled of 2" in printed[form]
     document = json.loads((tmp_path / "scores.json").read_text())
     (curve,) = document["by_threshold"]

@@ -16,7 +16,6 @@ from depthcli.cli import main
 from depthcli.run import records
 from tests.command_line import contents, rows, start, wait_for
 from tests.conftest import sampled
-from tests.golden import told
 
 PRESET = "opencv-sgbm"
 SCENES = 48
@@ -132,16 +131,13 @@ def test_a_worker_of_other_code_that_joins_late_is_refused(cluster: Cluster, mad
     assert "has another depthcli" in said
 
 
-def test_no_scheduler_there_is_told_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], made_scenes: Path):
+def test_no_scheduler_there_is_told_in_a_line(tmp_path: Path, tool, made_scenes: Path):
     pytest.importorskip("distributed", reason="no dask.distributed (the extra 'cluster')")
     command = ["stereo", PRESET, "-i", str(made_scenes), "-o", str(tmp_path / "run"), "-q"]
-    assert main([*command, "--scheduler", "nonsense://x"]) == 2
-    assert "no scheduler answers there" in capsys.readouterr().err
+    assert "no scheduler answers there" in tool.err(2, *command, "--scheduler", "nonsense://x")
     for address in ("nope", "tcp://nope", "tcp://no.such.host.invalid:8786"):
-        assert main([*command, "--scheduler", address]) == 2
-        assert capsys.readouterr().err.count("\n") == 1
-    assert main([*command, "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"]) == 2
-    told(capsys.readouterr().err)
+        assert tool.err(2, *command, "--scheduler", address).count("\n") == 1
+    tool.told(2, *command, "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2")
 
 
 @pytest.mark.system

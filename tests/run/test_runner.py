@@ -29,7 +29,7 @@ from depthcli.run.records import discard, hidden_folder, read_report
 from depthcli.run.runner import run_scenes
 from depthcli.run.scene import Task, Work, _keep_only, compute_scene
 from depthcli.show.table import Column, run_table
-from tests.golden import refused, saying, told
+from tests.golden import refused, told
 
 
 class Config(BaseModel):
@@ -196,8 +196,7 @@ def test_damaged_files_are_made_again(folder: Folder, damaged: str, content: byt
 def test_another_config_needs_overwrite(folder: Folder):
     folder.run()
     before = folder.bytes()
-    with saying(ConfigError):
-        folder.run(factor=3)
+    refused(ConfigError, folder.run, factor=3)
     assert folder.bytes() == before
     (folder.output / "a" / "notes.txt").write_text("mine")
     folder.run(factor=3, only="ab", overwrite=True)
@@ -333,8 +332,7 @@ def test_inputs_are_never_written_over(folder: Folder):
 )
 def test_names_that_lead_astray_are_refused(folder: Folder, name: str):
     scene = Text(name=name, folder=folder.root, file=folder.root / "in" / "x")
-    with saying(ConfigError):
-        run_scenes(batch_of(), [scene], folder.output, Execution(), Reporter(-1))
+    refused(ConfigError, run_scenes, batch_of(), [scene], folder.output, Execution(), Reporter(-1))
 
 
 def test_another_input_of_the_same_name_is_refused(folder: Folder):

@@ -18,7 +18,7 @@ from depthcli.run.console import Reporter
 from depthcli.run.folder import LOCKS_FILE, FolderLock
 from depthcli.run.job import shard_of
 from tests.command_line import contents, run, start, statuses, wait_for
-from tests.golden import refused, told
+from tests.golden import refused
 
 FAST = "opencv-bm"
 
@@ -57,18 +57,16 @@ def test_a_killed_process_leaves_its_scenes_to_be_done_again(made_scenes: Path, 
 
 
 @pytest.mark.slow
-def test_who_may_come_in(made_scenes: Path, tmp_path: Path, capsys, monkeypatch):
+def test_who_may_come_in(made_scenes: Path, tmp_path: Path, tool, monkeypatch):
     out = tmp_path / "run"
     common = ("stereo", FAST, "-i", made_scenes, "-o", out, "--scenes", "planes_0", "-q")
     monkeypatch.setattr("depthcli.run.folder._SETUP_TIMEOUT", 0.1)
     assert run(*common) == 0
     with FolderLock(out, print) as lock:
         assert lock.alone
-        assert run(*common) == 2  # still being set up
-        told(capsys.readouterr().err)
+        tool.told(2, *common)  # still being set up
         lock.share()
-        assert run(*common, "--set", "block=7", "--overwrite") == 2
-        told(capsys.readouterr().err)
+        tool.told(2, *common, "--set", "block=7", "--overwrite")
         assert run(*common) == 0
         assert lock.last()
         assert not (out / LOCKS_FILE).exists()

@@ -7,7 +7,7 @@ import pytest
 
 from depthcli.simulate.depth_sensor import simulate_kinect
 from depthcli.simulate.kinect_scenes import SEQUENCE_KINDS, make_kinect_scene, make_kinect_sequence
-from tests.golden import saying
+from tests.golden import refused
 
 GREY = np.full((60, 120, 3), 128, np.uint8)
 
@@ -114,5 +114,4 @@ def test_a_moving_camera_sees_the_same_points_from_its_poses():
 
 
 def test_a_scene_of_which_nothing_is_known_is_refused():
-    with saying(ValueError):
-        simulate_kinect(GREY, np.full((60, 120), np.inf))
+    refused(ValueError, simulate_kinect, GREY, np.full((60, 120), np.inf))

@@ -8,7 +8,7 @@ from depthcli.simulate import textures
 from depthcli.simulate.rendering import disparities, render
 from depthcli.simulate.room import Room, Surface, rotation
 from depthcli.simulate.stereo_scenes import KINDS, Radiometry, SyntheticScene, make_scene
-from tests.golden import saying
+from tests.golden import refused
 
 CASES = [(kind, seed) for kind in KINDS for seed in (0, 3)]
 
@@ -142,8 +142,7 @@ def test_radiometry_changes_the_right_view_only_and_as_said():
     "change", [{"height": 10}, {"width": 10, "max_disparity": 4}, {"max_disparity": 60}, {"max_disparity": 2}]
 )
 def test_impossible_sizes_are_refused(change):
-    with saying(ValueError):
-        make_scene(**{"kind": "planes", "width": 96, "height": 72, "max_disparity": 12, **change})
+    refused(ValueError, make_scene, **{"kind": "planes", "width": 96, "height": 72, "max_disparity": 12, **change})
 
 
 @pytest.mark.parametrize("shape", ["sphere", "cylinder", "cone"])

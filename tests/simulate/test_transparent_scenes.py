@@ -67,12 +67,11 @@ def test_the_command_makes_frames_and_makes_them_from_others(tmp_path):
             assert truth.fb == (24.0 if folder == made else None)
 
 
-def test_a_frame_without_truth_is_a_failed_row(tmp_path, capsys):
+def test_a_frame_without_truth_is_a_failed_row(tmp_path, tool):
     made = tmp_path / "made"
     assert main(["sample", "--transparent", "--width", "64", "--height", "48", "-o", str(made), "-q"]) == 0
     (made / "glass_0" / "depth_true.pfm").unlink()
-    assert main(["sample", "--transparent", "--from", str(made), "-o", str(tmp_path / "more")]) == 3
-    said = capsys.readouterr()
+    said = tool.both(3, "sample", "--transparent", "--from", made, "-o", tmp_path / "more")
     assert "no true depth" in said.out + said.err
 
 

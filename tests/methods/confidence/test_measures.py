@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from depthcli.kernels.exponential import exp_minus
 from depthcli.methods.confidence import CostCurves, confidence_maps, measure, measures
 from depthcli.testing import confidence
-from tests.golden import saying
+from tests.golden import refused
 from tests.naive import confidence as naive
 
 CURVE_MEASURES = ("msm", "cur", "pkr", "pkrn", "mm", "mmn", "wmn", "wmnn", "mlm", "aml", "nem", "noi")
@@ -99,12 +99,9 @@ def test_ranks_survive_a_positive_factor(factor, seed):
 
 def test_unknown_names_are_refused_with_the_names_there_are():
     costs = random_costs((4, 5), np.uint8)
-    with saying(ValueError):
-        confidence_maps(costs[None], ["pkrr"])
-    with saying(ValueError):
-        confidence_maps(costs, ["pkr"])
-    with saying(ValueError):
-        CostCurves(costs, np.array([0, 1, 2, 3]))
+    refused(ValueError, confidence_maps, costs[None], ["pkrr"])
+    refused(ValueError, confidence_maps, costs, ["pkr"])
+    refused(ValueError, CostCurves, costs, np.array([0, 1, 2, 3]))
 
 
 def test_exponential():

@@ -17,7 +17,7 @@ from depthcli.problems.fusion import Fuse, FuseConfig
 from depthcli.testing.inputs import assert_pure, texture
 from tests.contracts.checks import CHECKS
 from tests.contracts.inputs import KINDS, random_proposals
-from tests.golden import saying
+from tests.golden import refused, saying
 from tests.naive import choice as naive
 
 
@@ -145,8 +145,7 @@ def test_a_file_that_holds_no_network_is_refused(change, tmp_path):
     file = tmp_path / "net.json"
     write_network(file, random_network(KINDS))
     file.write_text(json.dumps({**json.loads(file.read_text()), **change}))
-    with saying(InputError):
-        read_network(file)
+    refused(InputError, read_network, file)
 
 
 def test_a_network_takes_only_the_inputs_and_maps_it_was_trained_for():
@@ -155,5 +154,4 @@ def test_a_network_takes_only_the_inputs_and_maps_it_was_trained_for():
         with saying(InputError):
             network.NetworkChoice().with_network(other, KINDS)
     maps = {"choice": {"method": "network"}, "optimizations": [{"optimization": "scanline"}]}
-    with saying(ConfigError):
-        Fuse.ready(FuseConfig.model_validate({"measures": ["census"], "maps": maps}))
+    refused(ConfigError, Fuse.ready, FuseConfig.model_validate({"measures": ["census"], "maps": maps}))

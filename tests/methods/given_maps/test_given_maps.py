@@ -17,7 +17,7 @@ from depthcli.methods.given_maps.fusion import fuse
 from depthcli.problems.given_maps import networks
 from depthcli.simulate.stereo_scenes import SyntheticScene, make_scene
 from tests.contracts.inputs import preset
-from tests.golden import saying
+from tests.golden import refused
 from tests.scenes import RealScene, real_pair, real_scenes
 
 
@@ -108,8 +108,7 @@ def test_one_map_has_no_relation_to_others(pair: StereoPair, broken: np.ndarray)
     assert first.plane("nearest_map")[10, 80] == pytest.approx(3)
     assert second.plane("above_middle")[10, 80] == pytest.approx(3)
     assert len(first.others) == len(_planes.OTHERS)
-    with saying(ValueError):
-        given_maps.judged_maps(evidence, [broken[:, 1:]])
+    refused(ValueError, given_maps.judged_maps, evidence, [broken[:, 1:]])
 
 
 def test_wrong_pixels_are_doubted_and_hidden_ones_found(pair: StereoPair, scene: SyntheticScene, broken: np.ndarray):
@@ -149,8 +148,7 @@ def test_without_a_right_image_only_the_shape_counts(pair: StereoPair, scene: Sy
     found = given_maps.judge_by_one_view(networks(), pair.left, np.clip(values, 0, 32), 32, measures=measures)
     assert found.probability[42:58, 62:88].mean() < found.probability[80:110, 20:140].mean() - 0.3
     assert set(found.confidence) == {"smoothness"}
-    with saying(ValueError):
-        given_maps.judge_by_one_view(networks(), pair.left, values[1:], 32)
+    refused(ValueError, given_maps.judge_by_one_view, networks(), pair.left, values[1:], 32)
 
 
 def test_the_networks_were_trained_for_these_planes():

@@ -15,7 +15,7 @@ from depthcli.methods.kinect.pipeline.realsense import Realsense
 from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
 from depthcli.simulate.depth_sensor import simulate_kinect
 from depthcli.simulate.kinect_scenes import make_kinect_scene
-from tests.golden import saying
+from tests.golden import refused
 
 
 @pytest.fixture(scope="module")
@@ -105,8 +105,7 @@ def test_realsense_temporal_filter_smooths_carries_over_and_follows():
     # valid in 2 of the last 4 frames: for three frames after the value is gone
     np.testing.assert_array_equal(np.isnan(seen[:, 1]), [False] * 5 + [True] * 2)
     assert carried == [False, False, True, True, True, False, False]
-    with saying(ValueError):
-        method.step(RgbdFrame(np.zeros((2, 3, 3), np.uint8), np.ones((2, 3), np.float32)), state)
+    refused(ValueError, method.step, RgbdFrame(np.zeros((2, 3, 3), np.uint8), np.ones((2, 3), np.float32)), state)
 
 
 @pytest.mark.parametrize(("mode", "value"), [("left", 10), ("farthest", 8), ("nearest", 14)])

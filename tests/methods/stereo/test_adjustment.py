@@ -3,7 +3,6 @@
 import re
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
@@ -18,7 +17,7 @@ from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.tiling.plan import PROCESS_BYTES
 from depthcli.problems.stereo import StereoConfig
 from depthcli.simulate.stereo_scenes import make_scene
-from depthcli.testing.inputs import texture, threads
+from depthcli.testing.inputs import texture
 from tests.contracts.inputs import preset, wrong
 from tests.golden import saying
 from tests.methods.stereo._pairs import PARAMETERS
@@ -184,17 +183,6 @@ def test_the_memory_error_names_a_sufficient_amount(scene):
 def test_pairs_with_too_few_matches_are_returned_unchanged(shape, top):
     pair = StereoPair(texture((*shape, 3), 1), texture((*shape, 3), 2))
     assert adjusted(pair, top, BOTH) is pair
-
-
-def test_threads_do_not_matter(scene):
-    pair = StereoPair(scene.left, lit(shifted(scene.right, TILTED)))
-    found = []
-    for count in (1, 2):
-        cv2.setNumThreads(count)
-        with threads(count):
-            found.append(adjusted(pair, 40, BOTH))
-    np.testing.assert_array_equal(*(one.right for one in found))
-    np.testing.assert_array_equal(*(one.light_trust for one in found))
 
 
 def test_tiles_are_adjusted_as_the_whole(scene):

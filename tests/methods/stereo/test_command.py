@@ -24,7 +24,7 @@ from depthcli.io.formats.images import read_image, write_png
 from depthcli.methods.stereo.pipeline._process import ProgramError, run_program
 from depthcli.problems.stereo import StereoConfig
 from tests.command_line import rows
-from tests.golden import saying, told
+from tests.golden import refused, saying, told
 
 # OpenCV's matcher as a program of somebody else: reads two images, writes a map as .npy.
 SGBM = """
@@ -123,19 +123,17 @@ def test_each_failure_is_a_row_and_the_other_scenes_are_written(here: Path, made
 
 
 @pytest.mark.slow
-def test_a_run_goes_on_unless_program_or_version_are_others(here: Path, made_scenes: Path, capsys):
+def test_a_run_goes_on_unless_program_or_version_are_others(here: Path, made_scenes: Path, tool):
     run = ["stereo", "sgbm.yaml", "-i", str(made_scenes), "-o", "run", "--scenes", "planes_0"]
     assert main(run) == 0
-    assert main(["stereo", "run/run.yaml", *run[2:]]) == 0
-    told(capsys.readouterr().err)
+    tool.told(0, "stereo", "run/run.yaml", *run[2:])
     (here / "sgbm.py").write_text(SGBM.replace("raw / 16", "raw / 8"))
     before = read_pfm(here / "run" / "planes_0" / "disp_left.pfm")
     assert main(run) == 0
     after = read_pfm(here / "run" / "planes_0" / "disp_left.pfm")
     both = np.isfinite(before) & np.isfinite(after) & (before > 0)
     assert np.median(after[both] / before[both]) == 2
-    assert main([*run, "--set", "version=2.1"]) == 2
-    told(capsys.readouterr().err)
+    tool.told(2, *run, "--set", "version=2.1")
 
 
 @pytest.mark.slow
@@ -345,8 +343,7 @@ def test_memory_of_all_processes_together_is_limited(tmp_path: Path):
         block = bytearray(b"x" * (80 << 20))
         time.sleep(60)
     """
-    with saying(ProgramError):
-        run(tmp_path, code, memory=200 << 20)
+    refused(ProgramError, run, tmp_path, code, memory=200 << 20)
 
 
 @LINUX

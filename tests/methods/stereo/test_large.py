@@ -28,7 +28,6 @@ from depthcli.methods.stereo.volume import StereoResult
 from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.inputs import TINY, blocky_pair, random_volume, texture, threads
 from tests.contracts.inputs import preset, wrong
-from tests.golden import told
 from tests.methods.stereo._pairs import PARAMETERS
 from tests.naive import stereo as naive
 
@@ -240,21 +239,17 @@ def test_tiny_and_narrow_images_and_wide_ranges(name, height, width, disparities
     assert np.all((known >= 0) & (known <= disparities))
 
 
-def test_the_command_says_what_it_did(tmp_path: Path, capsys):
+def test_the_command_says_what_it_did(tmp_path: Path, tool):
     size = ["--width", "160", "--height", "120", "--max-disparity", "20"]
     assert main(["sample", *size, "-n", "1", "-o", str(tmp_path / "s"), "-q"]) == 0
     arguments = ["stereo", "fast", "-i", str(tmp_path / "s"), "-o"]
     always = ["--set", "tiles=always", "--set", "min_disparity=3"]
-    assert main([*arguments, str(tmp_path / "u"), *always, "--max-memory", "1GiB"]) == 0
-    told(capsys.readouterr().err)
-    assert main([*arguments, str(tmp_path / "t"), *always, "--set", "tile_memory=900"]) == 0
-    assert "matched in" not in capsys.readouterr().err
+    tool.told(0, *arguments, tmp_path / "u", *always, "--max-memory", "1GiB")
+    assert "matched in" not in tool.err(0, *arguments, tmp_path / "t", *always, "--set", "tile_memory=900")
     (row,) = json.loads((tmp_path / "t" / "report.json").read_text())["scenes"]
     assert (row["tiles"], row["levels"], row["exact"]) == (1, 1, 0)
-    assert main([*arguments, str(tmp_path / "n"), "--set", "tiles=never", "--max-memory", "1MiB"]) == 3
-    told(capsys.readouterr().err)
-    assert main([*arguments, str(tmp_path / "a"), "--max-memory", "1MiB"]) == 3
-    told(capsys.readouterr().err)
+    tool.told(3, *arguments, tmp_path / "n", "--set", "tiles=never", "--max-memory", "1MiB")
+    tool.told(3, *arguments, tmp_path / "a", "--max-memory", "1MiB")
 
 
 def test_a_pair_that_may_be_matched_in_tiles_takes_no_more_than_they():

@@ -15,7 +15,7 @@ from depthcli.methods.stereo.networks import MeanDeviation, networks_in, normali
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.pipeline.onnx import NetworkPipeline
 from depthcli.testing.inputs import assert_pure, inside, shifted_pair
-from tests.golden import saying
+from tests.golden import refused, saying
 from tests.methods.stereo._networks import Graph, block_matcher, has_onnx, local_features
 
 needs_onnx = pytest.mark.skipif(not has_onnx(), reason="onnxruntime or onnx is not installed")
@@ -33,8 +33,7 @@ def test_inputs_are_found_from_names_and_shapes(tmp_path: Path, form: str):
     multiple = 32 if form in ("two", "iterations") else 1
     network = pipeline(block_matcher(tmp_path / "net.onnx", form, multiple=multiple))
     if form == "iterations":
-        with saying(InputError):
-            network.prepare("cpu")
+        refused(InputError, network.prepare, "cpu")
         network = network.model_copy(update={"iterations": 3})
     network.prepare("cpu")
     pair = shifted_pair(75, 131, 6)
@@ -67,8 +66,7 @@ def test_a_network_of_one_size_gets_it_and_disparities_are_scaled(tmp_path: Path
 @pytest.mark.parametrize("factor", [-1, 0.25, 0])
 def test_the_self_check_refuses_what_is_no_disparity(tmp_path: Path, factor: float):
     network = pipeline(block_matcher(tmp_path / "net.onnx", factor=factor))
-    with saying(InputError):
-        network.prepare("cpu")
+    refused(InputError, network.prepare, "cpu")
     network.model_copy(update={"self_check": False}).prepare("cpu")
     if factor == -1:
         network.model_copy(update={"sign": "negative"}).prepare("cpu")
