@@ -216,7 +216,8 @@ def test_pairs_of_no_rig_are_refused(few: Path, tmp_path: Path, tool) -> None:
     images = [read_image(file) for file in files]
     for file, image in zip(files, (*images[1:], images[0]), strict=True):
         write_png(file, image)
-    tool.told(2, "calibrate", few, *CHESS, "-o", tmp_path / "c.yml")
+    err = tool.err(2, "calibrate", few, *CHESS, "-o", tmp_path / "c.yml")
+    assert "the pairs do not fit" in err and err.count("\n") == 1
     assert not list(tmp_path.glob("c*"))
 
 

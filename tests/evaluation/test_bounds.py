@@ -19,6 +19,7 @@ from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.volume_pairs import RegistrationTruth
 
 NAN = math.nan
+KNOWN = [0.25, 0.5, 0.5, 0.75, 8]
 
 
 def scores_of(error: list[float], bound: list[float], level: float = 0.9) -> dict[str, Score]:
@@ -28,47 +29,33 @@ def scores_of(error: list[float], bound: list[float], level: float = 0.9) -> dic
     return {score.metric.heading: score for score in found}
 
 
-def values(error: list[float], bound: list[float]) -> dict[str, float]:
-    return {heading: score.value for heading, score in scores_of(error, bound).items()}
+@pytest.mark.parametrize(("error", "bound", "expected"), [
+    # A constant is as sharp as the constant, and orders nothing; one that knows the error is sharp, and orders all.
+    ([0.5, 1, 2, 4], [1] * 4, {"coverage 90": 50, "median": 1, "/ constant": 1, 100: 50, 90: 50, 80: 50, 50: 50}),
+    (KNOWN, KNOWN, {"coverage 90": 100, "/ constant": 0.25, 100: 20, 80: 0, 50: 0}),
+    # Values without a bound are not covered, pixels without a value do not count.
+    ([0.5, 0.5, 0.5, NAN], [1, NAN, 1, NAN], {"coverage 90": 200 / 3}),
+    # Open bounds are counted apart, and make no bound less sharp.
+    ([0.5, 2, 9], [1, 1, math.inf], {"coverage 90": 50, "finite": 200 / 3}),
+    ([0.5, 1, 9], [1, 1, math.inf], {"/ constant": 1, 50: 0}),
+    ([1], [math.inf], {"median": math.inf}),
+    # Nothing covered has no sharpness.
+    ([1, 2], [0.5, 0.5], {"coverage 90": 0, "/ constant": None}),
+    ([1, 2], [NAN, NAN], {"coverage 90": 0}),
+])  # fmt: skip
+def test_scores_by_hand(error: list[float], bound: list[float], expected: dict[str | int, float | None]):
+    found = scores_of(error, bound)
+    named = {f"bound {name}" if isinstance(name, str) else f"{BAD} {name}": value for name, value in expected.items()}
+    values = {heading: found[heading].value if heading in found else None for heading in named}
+    assert values == pytest.approx(named)
 
 
-def test_constant_bound_is_as_sharp_as_the_constant_and_orders_nothing():
-    found = scores_of([0.5, 1, 2, 4], [1, 1, 1, 1])
-    coverage = found[f"{COVERAGE} 90"]
-    assert (coverage.value, coverage.wrong, coverage.pixels, coverage.density) == (50, 2, 4, 100)
-    assert found["bound median"].value == found["bound / constant"].value == 1
-    assert [found[f"{BAD} {share}"].value for share in (100, 90, 80, 50)] == [50] * 4
-
-
-def test_bound_that_knows_the_error_is_sharp_and_orders_all():
-    error = [0.25, 0.5, 0.5, 0.75, 8]
-    found = values(error, error)
-    assert found[f"{COVERAGE} 90"] == 100
-    assert found["bound / constant"] == pytest.approx(2 / 8)
-    assert [found[f"{BAD} {share}"] for share in (100, 80, 50)] == pytest.approx([20, 0, 0])
-
-
-def test_values_without_bound_are_not_covered_and_pixels_without_value_do_not_count():
+def test_pixels_of_bounds():
+    coverage = scores_of([0.5, 1, 2, 4], [1] * 4)[f"{COVERAGE} 90"]
+    assert (coverage.wrong, coverage.pixels, coverage.density) == (2, 4, 100)
     found = scores_of([0.5, 0.5, 0.5, NAN], [1, NAN, 1, NAN])
-    assert found[f"{COVERAGE} 90"].value == pytest.approx(200 / 3)
     assert (found[f"{COVERAGE} 90"].pixels, found["bound median"].pixels, found["bound median"].density) == (3, 2, 75)
     assert scores_of([NAN], [1]) == {}
-
-
-def test_open_bounds_are_counted_apart_and_make_no_bound_less_sharp():
-    found = values([0.5, 2, 9], [1, 1, math.inf])
-    assert (found[f"{COVERAGE} 90"], found["bound finite"]) == (50, pytest.approx(200 / 3))
-    found = values([0.5, 1, 9], [1, 1, math.inf])
-    assert found["bound / constant"] == 1
-    assert found[f"{BAD} 50"] == 0
-    assert math.isinf(values([1], [math.inf])["bound median"])
-
-
-def test_nothing_covered_has_no_sharpness():
-    found = values([1, 2], [0.5, 0.5])
-    assert found[f"{COVERAGE} 90"] == 0
-    assert "bound / constant" not in found
-    assert values([1, 2], [NAN, NAN])[f"{COVERAGE} 90"] == 0
 
 
 def test_a_map_of_open_bounds_has_no_coverage():

@@ -178,30 +178,23 @@ def test_full_size_frames_of_driving_stereo_have_another_scale(tmp_path: Path):
 # Sets with integer codes: CREStereo's and InStereo2K
 
 
-def test_crestereo(tmp_path: Path):
-    images(tmp_path / "hole" / "0003c2ad-2128_left.jpg", tmp_path / "hole" / "0003c2ad-2128_right.jpg")
-    for side in ("left", "right"):
-        codes(tmp_path / "hole" / f"0003c2ad-2128_{side}.disp.png", DISPARITY, 32)
-    (scene,) = find(tmp_path)
-    assert (scene.name, scene.layout) == ("hole/0003c2ad-2128", "crestereo")
-    truth = true(scene)
-    np.testing.assert_array_equal(truth.disparity, DISPARITY)
-    np.testing.assert_array_equal(truth.right, DISPARITY)
-    check_layout("crestereo", tmp_path)
-
-
-def test_instereo2k(tmp_path: Path):
-    folder = tmp_path / "part1" / "000003"
-    images(folder / "left.png", folder / "right.png")
+@pytest.mark.parametrize(("layout", "frame", "files", "scale"), [
+    ("crestereo", "hole/0003c2ad-2128", "hole/0003c2ad-2128_{}", 32),
+    ("instereo2k", "part1/000003", "part1/000003/{}", 100),
+])  # fmt: skip
+def test_sets_with_integer_codes(tmp_path: Path, layout: str, frame: str, files: str, scale: float):
     unknown = DISPARITY.copy()
     unknown[1] = np.nan
     for side in ("left", "right"):
-        codes(folder / f"{side}_disp.png", unknown, 100)
+        file = files.format(side)
+        images(tmp_path / (f"{file}.jpg" if layout == "crestereo" else f"{file}.png"))
+        codes(tmp_path / (f"{file}.disp.png" if layout == "crestereo" else f"{file}_disp.png"), unknown, scale)
     (scene,) = find(tmp_path)
-    assert (scene.name, scene.layout) == ("part1/000003", "instereo2k")
-    np.testing.assert_array_equal(true(scene).disparity, unknown)
+    assert (scene.name, scene.layout) == (frame, layout)
+    for values in (true(scene).disparity, true(scene).right):
+        np.testing.assert_array_equal(values, unknown)
     assert set(protocols.load(scene.protocol)().truth(scene).masks) == {"nonocc", "all", "disc"}
-    check_layout("instereo2k", tmp_path / "part1")
+    check_layout(layout, tmp_path / frame.partition("/")[0])
 
 
 # Middlebury 2021 and Booster
