@@ -38,14 +38,13 @@ from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.refinement import RefinementStep
 from depthcli.methods.stereo.segments.steps import SegmentSteps
 from depthcli.methods.stereo.stages import TILE_HALO, finish
-from depthcli.methods.stereo.volume import CostVolume, StereoResult
+from depthcli.methods.stereo.volume import CostVolume, FixedPoint, StereoResult, as_fixed_point
 
 _NEEDS_MAPS: dict[str, LiteralString] = {
     "agreement": "'agreement' compares several maps; expected 'maps'",
     "probability": "'probability' is known where a network chooses among maps; expected 'maps' with 'choice: network'",
 }
 _OWN_CONFIDENCES = ("consensus", *_NEEDS_MAPS)
-_MAX_VOTED_COST = 4080  # 16 x 255, the fixed point of aggregated costs, which scanline optimizers can sum
 _MIN_LIGHT = np.float32(1e-30)  # a measure that is chosen alone keeps its weight in any light
 Volumes = Mapping[str, NDArray[Any]]
 """File name of a measure -> (H, W, D) costs."""
@@ -276,18 +275,19 @@ class Fusion(AdjustingMatcher):
             if self.aggregation is not None:
                 blended = self.aggregation(blended, pair)
             elif counted:
-                blended = CostVolume(blended.costs.astype(np.uint16) * np.uint16(16), blended.scale * 16)
+                blended = as_fixed_point(blended)
         else:
             total = np.zeros(parts[0].costs.shape, np.float32)
             for part, weight in zip(parts, weights, strict=True):
                 add_weighted(total, part if self.aggregation is None else self.aggregation(part, pair), weight)
-            blended = CostVolume((total * np.float32(16 * UNIT) + np.float32(0.5)).astype(np.uint16), 16.0 * UNIT)
+            unit = float(FixedPoint.FRACTION * UNIT)
+            blended = CostVolume((total * np.float32(unit) + np.float32(0.5)).astype(np.uint16), unit)
         clock.start("votes")
         if blended is not None and not consensus.vote_cost:
             return FusedCosts(blended, weights, ballot)
         assert ballot is not None
         strength = 1.0 if blended is None else consensus.vote_cost
-        return FusedCosts(ballot.costs(blended, strength, _MAX_VOTED_COST), weights, ballot)
+        return FusedCosts(ballot.costs(blended, strength, FixedPoint.LARGEST), weights, ballot)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the peak working memory for images of ``shape``, in bytes."""

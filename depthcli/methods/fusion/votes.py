@@ -174,7 +174,7 @@ def _cast(begin, end, disparities, weights, first, tolerance, fading, block):
         for m in range(voters):
             for x in range(width):
                 center = disparities[m, y, x] - first
-                for k in range(max(0, center - tolerance), min(16, center + tolerance + 1)):
+                for k in range(max(0, center - tolerance), min(BLOCK_DEPTH, center + tolerance + 1)):
                     fade = np.float32(abs(k - center)) * step
                     block[y, x, k] += weights[m, y, x] * (np.float32(1.0) - fade)
 
@@ -186,7 +186,7 @@ def _look_up(begin, end, block, inverse_sum, disparities, first, shares):
         for m in range(count):
             for x in range(width):
                 k = disparities[m, y, x] - first
-                if 0 <= k < 16:
+                if 0 <= k < BLOCK_DEPTH:
                     shares[m, y, x] = max(block[y, x, k], np.float32(0.0)) * inverse_sum[y, x]
 
 
@@ -196,8 +196,8 @@ def _add(begin, end, block, inverse_sum, base, gain, strength, first, out):
     one, half = np.float32(1.0), np.float32(0.5)
     for y in range(begin, end):
         for x in range(width):
-            cells = out[y, x, first : min(n_disparities, first + 16)]
-            known = base[y, x, first : min(n_disparities, first + 16)]
+            cells = out[y, x, first : min(n_disparities, first + BLOCK_DEPTH)]
+            known = base[y, x, first : min(n_disparities, first + BLOCK_DEPTH)]
             votes = block[y, x]
             s = inverse_sum[y, x]
             for k in range(cells.size):

@@ -13,6 +13,7 @@ from depthcli.core import memory
 from depthcli.core.context import Clock, Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
+from depthcli.kernels.indices import indices
 from depthcli.kernels.jit import empty, jit, run_bands
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion.map_costs import (
@@ -123,6 +124,8 @@ SINGLE = (
 | ``self_occlusion`` | disparity by which a nearer pixel of the map covers the match, pixels |
 | ``rank`` | share of the disparities with smaller costs, with smoothness |
 """
+_MEAN, _OWN = indices(AVERAGED), indices(SINGLE)
+_ONES = len(AVERAGED)  # place of the sum of ones, behind the sums
 VIEWS = ("decorrelation", "color_difference")
 PIXEL = (*IMAGE[:4], "light_trust", "min_cost", "peak", IMAGE[4])
 ALONE = (*(f"{n}_narrow" for n in AVERAGED), *(f"{n}_wide" for n in AVERAGED), *SINGLE, *VIEWS, *SHAPE, *PIXEL)
@@ -309,34 +312,34 @@ def _compare(
             contradiction, hidden, difference, column, covered, right_far = match
             warped[y, x], color[y, x] = warped_right(x, value, image[y], other[y], grey[y])
             empty = np.float32(missing[y, x])
-            cells[0] = one if outside else min(raw / np.float32(30), one)
-            cells[1] = one if outside else min(raw / np.float32(12), one)
-            cells[2] = contradiction
-            cells[3] = hidden
-            cells[4] = excess
-            cells[5] = to_winner
-            cells[6] = one if to_winner > one else zero
-            cells[7] = right_far
-            cells[8] = empty
-            cells[9] = color[y, x]
-            cells[10] = margin
+            cells[_MEAN.cost] = one if outside else min(raw / np.float32(30), one)
+            cells[_MEAN.far_cost] = one if outside else min(raw / np.float32(12), one)
+            cells[_MEAN.contradiction] = contradiction
+            cells[_MEAN.hidden] = hidden
+            cells[_MEAN.excess] = excess
+            cells[_MEAN.winner_difference] = to_winner
+            cells[_MEAN.other_winner] = one if to_winner > one else zero
+            cells[_MEAN.right_difference] = right_far
+            cells[_MEAN.missing] = empty
+            cells[_MEAN.color_difference] = color[y, x]
+            cells[_MEAN.margin] = margin
             away = value - reference[y, x]
             filled = zero if status[y, x] == 0 else one
-            cells[11] = min(abs(away), far)
-            cells[12] = one if abs(away) > one else zero
-            cells[13] = filled
-            cells[14] = one
-            single[0, y, x] = raw
-            single[1, y, x] = excess
-            single[2, y, x] = to_winner
-            single[3, y, x] = difference
-            single[4, y, x] = column
-            single[5, y, x] = covered
-            single[6, y, x] = np.float32(lower) / np.float32(count)
-            single[7, y, x] = margin
-            single[8, y, x] = empty
-            single[9, y, x] = min(max(away, -far), far)
-            single[10, y, x] = filled
+            cells[_MEAN.reference_difference] = min(abs(away), far)
+            cells[_MEAN.other_reference] = one if abs(away) > one else zero
+            cells[_MEAN.reference_filled] = filled
+            cells[_ONES] = one
+            single[_OWN.cost, y, x] = raw
+            single[_OWN.excess, y, x] = excess
+            single[_OWN.winner_difference, y, x] = to_winner
+            single[_OWN.right_difference, y, x] = difference
+            single[_OWN.match_column, y, x] = column
+            single[_OWN.self_occlusion, y, x] = covered
+            single[_OWN.rank, y, x] = np.float32(lower) / np.float32(count)
+            single[_OWN.margin, y, x] = margin
+            single[_OWN.missing, y, x] = empty
+            single[_OWN.reference_difference, y, x] = min(max(away, -far), far)
+            single[_OWN.reference_filled, y, x] = filled
 
 
 @jit

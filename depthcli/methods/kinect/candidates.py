@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.algorithms.trws import trws
@@ -98,6 +99,13 @@ class _Histogram(NamedTuple):
     per_pixel: np.float32
 
 
+class _Fading(NamedTuple):
+    # How votes fade: with the difference of colors, (766,), and the distance, (scales, reach + 1); each pixel's scale.
+    similarity: Floats
+    space: Floats
+    scale: NDArray[np.signedinteger[Any]]
+
+
 def color_similarity(sigma: float) -> Floats:
     """Tabulate the similarity of two colors by their L1 distance in 8-bit Lab, (766,) float32."""
     return (np.exp(-np.arange(766) / sigma) + _MIN_SIMILARITY).astype(np.float32)
@@ -139,16 +147,13 @@ def cast_votes(
     reach = max(r for _, r in LEVELS)
     space = np.exp(-np.arange(reach + 1) / _SPACE_SCALES[:, None]).astype(np.float32)
     scale = np.searchsorted(_SPACE_SCALES[:-1], sigma_space[pixels[:, 0], pixels[:, 1]])
-    planes, colors = zip(*voters, strict=True)
-    run_bands(
-        _vote, (len(pixels) + 255) // 256, pixels, scale, lab, planes, colors, limits, extra,
-        color_similarity(sigma_color), space, bins, *found,
-    )  # fmt: skip
+    fading = _Fading(color_similarity(sigma_color), space, scale)
+    run_bands(_vote, (len(pixels) + 255) // 256, pixels, lab, tuple(voters), limits, extra, fading, bins, found)
     return found
 
 
 @jit
-def _vote(begin, end, pixels, scale, lab, planes, colors, limits, extra, similarity, space, bins, values, shares):
+def _vote(begin, end, pixels, lab, voters, limits, extra, fading, bins, found):
     low, per_pixel, n_bins = bins
     for block in range(begin, end):
         histogram = _Histogram(zeros((n_bins, 2), np.float32), empty(2, np.int64), low, per_pixel)
@@ -157,10 +162,10 @@ def _vote(begin, end, pixels, scale, lab, planes, colors, limits, extra, similar
             y, x = pixels[n]
             extent[0], extent[1] = n_bins, -1
             limit = limits.value[y, x], limits.factor[y, x]
+            weights = fading.similarity, fading.space[fading.scale[n]]
             inner = -1
             for level in range(len(LEVELS)):
-                voters = planes[level], colors[level], LEVELS[level]
-                _gather(y, x, lab[y, x], voters, inner, limit, similarity, space[scale[n]], histogram)
+                _gather(y, x, lab[y, x], voters[level], LEVELS[level], inner, limit, weights, histogram)
                 inner = LEVELS[level][1]
             cast = np.float32(0)
             for k in range(extent[0], extent[1] + 1):
@@ -170,14 +175,14 @@ def _vote(begin, end, pixels, scale, lab, planes, colors, limits, extra, similar
                 d = extra.values[k, y, x]
                 if not np.isnan(d):
                     total += _add_vote(histogram, max(extra.shares[k, y, x] * cast, np.float32(1e-9)), d)
-            _modes(histogram, total, values[n], shares[n])
+            _modes(histogram, total, found.values[n], found.shares[n])
             votes[extent[0] : extent[1] + 1] = np.float32(0)
 
 
 @helper
-def _gather(y, x, color, voters, inner, limit, similarity, space, histogram):
+def _gather(y, x, color, voters, level, inner, limit, weights, histogram):
     # Add the votes of one level to the histogram, except within ``inner`` pixels, which belong to the finer level.
-    planes, colors, (stride, reach) = voters
+    (planes, colors), (stride, reach), (similarity, space) = voters, level, weights
     largest, factor = limit
     light, a, b = np.int32(color[0]), np.int32(color[1]), np.int32(color[2])
     top, bottom = _nth_within(np.int64(y), reach, stride, planes.shape[1])

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from depthcli.algorithms.filters import add
 from depthcli.kernels.exponential import attainable_likelihood, likelihood, peak_ratio
+from depthcli.kernels.indices import indices
 from depthcli.kernels.jit import empty, helper, jit, zeros
 
 MAX_SMALL_VALUE = 85
@@ -16,6 +20,40 @@ PLANES = (
     *("eshift", "square", "shift_z", "shift_y", "shift_x", "mlm0", "aml0", "shift", "rank0", "cur0", "cost0", "msm"),
     *("border", "mlm", "aml", "pkr"),
 )
+_PLANE = indices(PLANES)
+# Rows of the work array of a row of curves; ``best`` is the index of the smallest cost, and until then spare.
+_ROW = indices(
+    ("lowest", "mean", "squares", "rate", "weight", "soft", "hard", "cheaper", "best", "spare", "base")
+)  # fmt: skip
+
+
+class Curve(NamedTuple):
+    """The K searched displacements, zero first."""
+
+    offsets: NDArray[np.int64]  # (K, 3), voxels
+    lengths: NDArray[np.float32]  # (K,), mm
+    edge: NDArray[np.bool_]  # (K,), on the border of the search
+    neighbors: NDArray[np.int64]  # indices of the unit displacements
+    before: NDArray[np.int64]  # (K, 13), indices of each displacement's neighbors before it, -1: not searched
+    after: NDArray[np.int64]  # and after it
+
+
+class Window(NamedTuple):
+    """Sizes in voxels, (3,) int64 each, z, y, x."""
+
+    half: NDArray[np.int64]  # of the window of a cost, without its center
+    reach: NDArray[np.int64]  # of the search
+    stride: NDArray[np.int64]  # of the measured voxels, at most the window's size along each axis
+
+
+class Scale(NamedTuple):
+    """How costs are stored and judged."""
+
+    shift: np.uint32  # bits of window sums that are dropped
+    unit: np.float32  # cost of one stored unit
+    power: int  # 0.5 / k
+    small_values: bool  # no feature is above ``MAX_SMALL_VALUE``
+    costly: bool  # also compute AML0, AML and PKR
 
 
 @helper
@@ -58,16 +96,16 @@ def _window_rows(differences, last, total):
 
 
 @helper
-def _tile_costs(
-    fixed, warped, offsets, half, reach, stride, size, shift, small_values, costs, row, sums, running, layers, volumes
-):
-    """Write window sums of |fixed - warped| for every displacement, ``shift`` bits coarser, (tz, ty, K, width) uint16.
+def _tile_costs(fixed, warped, offsets, window, size, scale, costs, row, sums, running, layers, volumes):
+    """Write window sums of |fixed - warped| for every displacement, coarser by ``scale``, (tz, ty, K, width) uint16.
 
     ``fixed`` and ``warped`` are the tile's (Z, sx, C, Y * pitch): rows follow each other at one pitch, so that a slice
     is one long loop. Sums between the end of a row and the next row are unused.
 
     All sums are integers, so they do not depend on the division into tiles.
     """
+    half, reach, stride = window
+    shift, small_values = scale.shift, scale.small_values
     tz, ty, pitch = size
     hz, hy, hx = half
     sz, sy, sx = stride
@@ -137,10 +175,11 @@ def _add_scaled(row, factor, out):
 
 @helper
 def _spread(costs, rows):
-    # For (K, n) curves, write smallest cost, mean cost, 1 / deviation, and number of displacements cheaper than zero to
-    # rows[0, 1, 3, 7], and the costs of displacement zero to rows[10].
+    # For (K, n) curves, write smallest and mean cost, 1 / deviation (rate), number of displacements cheaper than zero,
+    # and the costs of displacement zero (base) to the rows of these names.
     count, n = costs.shape[0], rows.shape[1]
-    lowest, sums, squares, rate, cheaper, t, base = rows[0], rows[1], rows[2], rows[3], rows[7], rows[8], rows[10]
+    lowest, sums, squares, rate = rows[_ROW.lowest], rows[_ROW.mean], rows[_ROW.squares], rows[_ROW.rate]
+    cheaper, t, base = rows[_ROW.cheaper], rows[_ROW.best], rows[_ROW.base]
     first = costs[0]
     for i in range(n):
         base[i] = np.float32(first[i])
@@ -186,11 +225,12 @@ def _raise(values, power, out):
 
 
 @helper
-def _likelihoods(costs, offsets, lengths, power, costly, rows, out):
-    # Write sums of likelihoods to rows[4, 5, 6], and sums of lengths, squared lengths and displacements, weighted by
-    # powers of the likelihoods, to out[:5].
-    n = rows.shape[1]
-    lowest, rate, weight, soft, hard, t, e = rows[0], rows[3], rows[4], rows[5], rows[6], rows[8], rows[9]
+def _likelihoods(costs, curve, power, costly, rows, out):
+    # Write sums of likelihoods to the rows weight, soft and hard, and sums of lengths, squared lengths and
+    # displacements, weighted by powers of the likelihoods, to the first five planes.
+    offsets, lengths, n = curve.offsets, curve.lengths, rows.shape[1]
+    lowest, rate, weight = rows[_ROW.lowest], rows[_ROW.rate], rows[_ROW.weight]
+    soft, hard, t, e = rows[_ROW.soft], rows[_ROW.hard], rows[_ROW.best], rows[_ROW.spare]
     weight[:] = 0
     soft[:] = 0
     hard[:] = 0
@@ -211,25 +251,26 @@ def _likelihoods(costs, offsets, lengths, power, costly, rows, out):
             t[i] = max(t[i], tiny)
         _raise(t, power, e)
         add(e, weight)
-        _add_scaled(e, lengths[k], out[0])
-        _add_scaled(e, lengths[k] * lengths[k], out[1])
+        _add_scaled(e, lengths[k], out[_PLANE.eshift])
+        _add_scaled(e, lengths[k] * lengths[k], out[_PLANE.square])
         for axis in range(3):
             if offsets[k, axis] != 0:
-                _add_scaled(e, np.float32(offsets[k, axis]), out[2 + axis])
+                _add_scaled(e, np.float32(offsets[k, axis]), out[_PLANE.shift_z + axis])
 
 
 @helper
-def _measure_row(costs, offsets, lengths, edge, neighbors, power, scale, costly, rows, out):
+def _measure_row(costs, curve, scale, rows, out):
     """Write the measures of a row of curves, (K, n) uint16 costs with displacement zero first, to (planes, n) ``out``.
 
-    Leaves the mean cost in ``rows[1]`` and the index of the smallest cost in ``rows[8]``.
+    Leaves the mean cost and the index of the smallest cost in the rows ``mean`` and ``best``.
 
     Every loop uses few arrays: with more, the compiler cannot prove that they do not overlap, and does not vectorize.
     """
     _spread(costs, rows)
-    _likelihoods(costs, offsets, lengths, power, costly, rows, out)
-    lowest, rate, weight, soft, hard = rows[0], rows[3], rows[4], rows[5], rows[6]
-    cheaper, t, base = rows[7], rows[8], rows[10]
+    _likelihoods(costs, curve, scale.power, scale.costly, rows, out)
+    lengths, edge, neighbors, unit = curve.lengths, curve.edge, curve.neighbors, scale.unit
+    lowest, rate, weight, soft = rows[_ROW.lowest], rows[_ROW.rate], rows[_ROW.weight], rows[_ROW.soft]
+    hard, cheaper, t, base = rows[_ROW.hard], rows[_ROW.cheaper], rows[_ROW.best], rows[_ROW.base]
     share = np.float32(1.0 / costs.shape[0])
     for i in range(rows.shape[1]):
         flat = rate[i] == 0
@@ -237,34 +278,34 @@ def _measure_row(costs, offsets, lengths, edge, neighbors, power, scale, costly,
         for m in range(5):
             out[m, i] *= inverse
         away = (base[i] - lowest[i]) * rate[i]
-        out[5, i] = np.float32(1.0) if flat else likelihood(away) / soft[i]
-        out[6, i] = np.float32(1.0) if flat else attainable_likelihood(away) / max(hard[i], np.float32(1e-30))
+        out[_PLANE.mlm0, i] = np.float32(1.0) if flat else likelihood(away) / soft[i]
+        out[_PLANE.aml0, i] = np.float32(1.0) if flat else attainable_likelihood(away) / max(hard[i], np.float32(1e-30))
         best = 0
         while np.float32(costs[best, i]) != lowest[i]:
             best += 1
         t[i] = np.float32(best)
-        out[7, i] = lengths[best]
-        out[8, i] = cheaper[i] * share
+        out[_PLANE.shift, i] = lengths[best]
+        out[_PLANE.rank0, i] = cheaper[i] * share
         total = np.float32(0.0)
         for j in range(neighbors.size):
             total += np.float32(costs[neighbors[j], i]) - base[i]
-        out[9, i] = total * scale
-        out[10, i] = base[i] * scale
-        out[11, i] = -lowest[i] * scale
-        out[12, i] = np.float32(edge[best])
-        out[13, i] = np.float32(0.0) if flat else np.float32(1.0) / soft[i]
-        out[14, i] = np.float32(0.0) if flat else np.float32(1.0) / max(hard[i], np.float32(1e-30))
+        out[_PLANE.cur0, i] = total * unit
+        out[_PLANE.cost0, i] = base[i] * unit
+        out[_PLANE.msm, i] = -lowest[i] * unit
+        out[_PLANE.border, i] = np.float32(edge[best])
+        out[_PLANE.mlm, i] = np.float32(0.0) if flat else np.float32(1.0) / soft[i]
+        out[_PLANE.aml, i] = np.float32(0.0) if flat else np.float32(1.0) / max(hard[i], np.float32(1e-30))
 
 
 @helper
-def _peak_row(costs, before, after, best, mean, rows, out):
+def _peak_row(costs, curve, rows, out):
     """Write the peak ratio of one row of curves: second smallest local minimum over smallest cost.
 
     As in stereo, a local minimum is below all earlier neighbors and not above any later one. If there is no second
     minimum, the largest cost replaces it. Neighbors are the searched displacements among the 26 around one.
     """
-    second, highest, early, late = rows[2], rows[3], rows[4], rows[5]
-    n = out.size
+    second, highest, early, late = rows[_ROW.squares], rows[_ROW.rate], rows[_ROW.weight], rows[_ROW.soft]  # now free
+    before, after, best, mean, n = curve.before, curve.after, rows[_ROW.best], rows[_ROW.mean], out.size
     far = np.float32(1e30)
     second[:] = far
     highest[:] = 0
@@ -294,45 +335,37 @@ def _peak_row(costs, before, after, best, mean, rows, out):
 
 
 @jit
-def search_tiles(
-    begin, end, fixed, warped, offsets, lengths, edge, neighbors, before, after, half, reach, stride, tiles, tile,
-    shift, scale, power, small_values, costly, sums, scratch, out,
-):  # fmt: skip
-    """Search every tile and write its measures, at every ``stride``-th voxel.
+def search_tiles(begin, end, fixed, warped, curve, window, tiles, tile, scale, sums, scratch, out):
+    """Search every tile and write its measures, at every ``window.stride``-th voxel.
 
     Parameters
     ----------
     fixed : (C, Z + 2 hz, Y + 2 hy, sx, Xs) uint8, voxel x at [x % sx, x // sx]; warped : the same, wider by the reach
-    offsets : (K, 3) int64, zero first; lengths : (K,) float32, mm
-    edge : (K,) bool, on the border of the search; neighbors : indices of the unit displacements
-    before, after : (K, 13) indices of each displacement's neighbors, -1: not searched
-    stride : (3,) int64, at most the window's size along each axis
     tiles : (N, 3) int64, first measured voxels of the tiles; tile : largest size
-    shift, scale : dropped bits, and cost of one unit
-    power : 0.5 / k; small_values : no value is above 85; costly : also compute AML0, AML and PKR
     sums : empty array with the dtype of the sum of a window's layer
     scratch : (workers, tz, ty, K, tx or more) uint16; out : (16, nz, ny, nx) float32, in the order of PLANES
     """
+    half, reach, stride = window
     workers = scratch.shape[0]
     extent = out.shape
     width = scratch.shape[4]
     channels = fixed.shape[0]
-    window = stride * (tile - 1) + 1 + 2 * half
+    side = stride * (tile - 1) + 1 + 2 * half
     # A row has the tile's width in full vectors, the rest of the window, and the reach.
     pitch = width + (2 * half[2]) // stride[2] + (2 * reach[2] + stride[2] - 1) // stride[2] + 1
     for w in range(begin, end):
         size = empty(3, np.int64)
         count = empty(3, np.int64)
         # Every slice of ``near`` may be read as far as the last slice of ``far``.
-        near = zeros((window[0], stride[2], channels, (window[1] + 2) * pitch), np.uint8)
-        far = zeros((window[0] + 2 * reach[0], stride[2], channels, (window[1] + 2 * reach[1] + 2) * pitch), np.uint8)
-        row = empty((window[1] + 1) * pitch, np.uint16)
-        total = empty((window[1] + 1) * pitch, sums.dtype)
+        near = zeros((side[0], stride[2], channels, (side[1] + 2) * pitch), np.uint8)
+        far = zeros((side[0] + 2 * reach[0], stride[2], channels, (side[1] + 2 * reach[1] + 2) * pitch), np.uint8)
+        row = empty((side[1] + 1) * pitch, np.uint16)
+        total = empty((side[1] + 1) * pitch, sums.dtype)
         running = empty(width, sums.dtype)
         layers = empty((2 * half[0] + 1, tile[1], width), sums.dtype)
         volumes = empty((tile[1], width), np.uint32)
-        work = empty((11, width), np.float32)
-        measured = empty((16, width), np.float32)
+        work = empty((len(_ROW), width), np.float32)
+        measured = empty((len(_PLANE), width), np.float32)
         for t in range(w, tiles.shape[0], workers):
             origin = tiles[t]
             for a in range(3):
@@ -343,15 +376,12 @@ def search_tiles(
             last = size[2]
             size[2] = pitch
             costs = scratch[w]
-            _tile_costs(
-                near, far, offsets, half, reach, stride, size, shift, small_values, costs, row, total, running,
-                layers, volumes,
-            )  # fmt: skip
+            _tile_costs(near, far, curve.offsets, window, size, scale, costs, row, total, running, layers, volumes)
             for z in range(size[0]):
                 for y in range(size[1]):
-                    _measure_row(costs[z, y], offsets, lengths, edge, neighbors, power, scale, costly, work, measured)
-                    if costly:
-                        _peak_row(costs[z, y], before, after, work[8], work[1], work, measured[15])
+                    _measure_row(costs[z, y], curve, scale, work, measured)
+                    if scale.costly:
+                        _peak_row(costs[z, y], curve, work, measured[_PLANE.pkr])
                     # Voxels behind the tile's end are measured, but not copied.
                     for m in range(len(PLANES)):
                         target = out[m, origin[0] + z, origin[1] + y, origin[2] : origin[2] + last]

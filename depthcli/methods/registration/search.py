@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from depthcli.core import memory
 from depthcli.kernels.jit import n_threads, run_bands
-from depthcli.methods.registration._search_kernels import MAX_SMALL_VALUE, PLANES, search_tiles
+from depthcli.methods.registration._search_kernels import MAX_SMALL_VALUE, PLANES, Curve, Scale, Window, search_tiles
 
 SearchShape = Literal["cube", "planes", "axes"]
 
@@ -121,12 +121,10 @@ def search(
     scratch = memory.empty((workers, int(size[0]), int(size[1]), len(offsets), width), np.uint16)
     out = np.empty((len(PLANES), *measured), np.float32)
     volumes = _phases(fixed, half, steps), _phases(warped, half + reach, steps)
-    curve = (offsets, lengths, edge, neighbors, before, after)
-    scale = (np.uint32(shift), np.float32((1 << shift) / largest), sharpness)
-    places = (half, reach, steps, tiles, size)
-    run_bands(
-        search_tiles, workers, *volumes, *curve, *places, *scale, top == MAX_SMALL_VALUE, costly, layer, scratch, out
-    )
+    curve, window = Curve(offsets, lengths, edge, neighbors, before, after), Window(half, reach, steps)
+    unit = np.float32((1 << shift) / largest)
+    scale = Scale(np.uint32(shift), unit, sharpness, top == MAX_SMALL_VALUE, costly)
+    run_bands(search_tiles, workers, *volumes, curve, window, tiles, size, scale, layer, scratch, out)
     planes = dict(zip(PLANES, out, strict=True))
     displacement = out[2:5] * np.float32(spacing)
     planes["vshift"] = np.sqrt((displacement**2).sum(axis=0))
