@@ -80,7 +80,7 @@ def command_of(name: str) -> Any:
     app = typer.Typer(add_completion=False, **_SETTINGS)
     text = commands.text_of(found).replace("\nExamples:\n", "\n\b\nExamples:\n")  # \b: these lines are not wrapped
     callback = _with_groups(found)
-    if "_DEPTHCLI_COMPLETE" in os.environ:  # a shell asks for completions
+    if _is_completing():
         from depthcli.commands._completion import complete_values
 
         complete_values(callback)
@@ -169,40 +169,8 @@ def main(arguments: list[str] | None = None) -> int:
         if code == 130:
             raise KeyboardInterrupt
         return code
-    except IncompleteError as error:
-        _print_error(f"depthcli: {error}")
-        return SOME_FAILED
-    except DepthcliError as error:  # several lines are a config's problems, each with its place
-        _print_error(f"depthcli: {error}" if "\n" not in str(error) else str(error))
-        return 2
-    except (KeyboardInterrupt, typer.Abort, Terminated) as error:
-        logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # it tells of every download that is left
-        is_terminated = isinstance(error, Terminated)
-        _print_error(f"depthcli: {'terminated' if is_terminated else 'interrupted'}; {RESUME}")
-        return 143 if is_terminated else 130
     except BaseException as error:
-        if getattr(error, "exit_code", None) == 2 and hasattr(error, "show"):  # wrong usage; typer prints it
-            with contextlib.suppress(OSError):
-                error.show()
-            return 2
-        if isinstance(error, OSError) and error.filename is None and error.errno in _STREAM_ERRORS:
-            Reporter.close(sys.stdout)
-            _print_error(f"depthcli: stdout: cannot be written ({error.strerror})")
-            return SOME_FAILED
-        plugin = plugin_behind(error)
-        if isinstance(error, SystemExit) and not plugin:
-            if error.code != 1 or "_DEPTHCLI_COMPLETE" in os.environ:
-                raise
-            return 0  # the reader of the help has closed the pipe (--help | head)
-        if not plugin and (text := shortage(error)):
-            _print_error(f"depthcli: {text}")
-            return 2
-        _print_error(traceback.format_exc().rstrip())
-        if plugin:
-            _print_error(f"depthcli: plug-in {plugin}: {type(error).__name__}: {error}")
-            return 2
-        _print_error("depthcli: this is a bug, not something you did; please report the lines above")
-        return 1
+        return _code_of(error)
     finally:
         logging.getLogger("depthcli").removeFilter(is_new)
         with contextlib.suppress(OSError, ValueError):
@@ -211,6 +179,48 @@ def main(arguments: list[str] | None = None) -> int:
             sys.stderr.flush()
         except (OSError, ValueError):  # otherwise the interpreter's last flush would change the exit code
             Reporter.close(sys.stderr)
+
+
+def _code_of(error: BaseException) -> int:
+    """Print an error that ended a command, and return the exit code; call it while the error is handled."""
+    if isinstance(error, IncompleteError):
+        _print_error(f"depthcli: {error}")
+        return SOME_FAILED
+    if isinstance(error, DepthcliError):  # several lines are a config's problems, each with its place
+        _print_error(f"depthcli: {error}" if "\n" not in str(error) else str(error))
+        return 2
+    if isinstance(error, KeyboardInterrupt | typer.Abort | Terminated):
+        logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # it tells of every download that is left
+        is_terminated = isinstance(error, Terminated)
+        _print_error(f"depthcli: {'terminated' if is_terminated else 'interrupted'}; {RESUME}")
+        return 143 if is_terminated else 130
+    if getattr(error, "exit_code", None) == 2 and hasattr(error, "show"):  # wrong usage; typer prints it
+        with contextlib.suppress(OSError):
+            error.show()
+        return 2
+    if isinstance(error, OSError) and error.filename is None and error.errno in _STREAM_ERRORS:
+        Reporter.close(sys.stdout)
+        _print_error(f"depthcli: stdout: cannot be written ({error.strerror})")
+        return SOME_FAILED
+    plugin = plugin_behind(error)
+    if isinstance(error, SystemExit) and not plugin:
+        if error.code != 1 or _is_completing():
+            raise error
+        return 0  # the reader of the help has closed the pipe (--help | head)
+    if not plugin and (text := shortage(error)):
+        _print_error(f"depthcli: {text}")
+        return 2
+    _print_error(traceback.format_exc().rstrip())
+    if plugin:
+        _print_error(f"depthcli: plug-in {plugin}: {type(error).__name__}: {error}")
+        return 2
+    _print_error("depthcli: this is a bug, not something you did; please report the lines above")
+    return 1
+
+
+def _is_completing() -> bool:
+    """Return whether a shell asks for completions."""
+    return "_DEPTHCLI_COMPLETE" in os.environ
 
 
 def _check_words(words: Sequence[str]) -> None:
@@ -226,7 +236,7 @@ def _check_words(words: Sequence[str]) -> None:
 
 def _load_plugins(words: Sequence[str]) -> None:
     """Load all ``--plugin`` options, since a plug-in may define the command; typer reports a missing value."""
-    completes = "_DEPTHCLI_COMPLETE" in os.environ
+    completes = _is_completing()
     if completes:  # an incomplete line; bash and the other shells pass it in different variables
         words = (os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS", "")).split()
     for option, value in pairwise([*words, ""]):
