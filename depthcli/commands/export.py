@@ -23,7 +23,7 @@ from typer import Argument, Option
 from depthcli.commands._options import Printing, local_output
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.evaluation.benchmarks import Benchmark, Entry, Submission, benchmark
-from depthcli.evaluation.protocols import load
+from depthcli.evaluation.protocols import has_kitti_codes, load
 from depthcli.io.formats.disparity import read_disparity
 from depthcli.io.formats.files import atomic_path, collected_warnings, remove_temporaries
 from depthcli.io.formats.images import image_size
@@ -58,7 +58,7 @@ def export(
     entries, problems = _find_maps(run, bench, splits, seconds)
 
     def read(file: Path) -> NDArray[np.float32]:
-        return read_disparity(file, asks=not bench.protocol.startswith("kitti"))
+        return read_disparity(file, asks=not has_kitti_codes(bench.protocol))
 
     sizes: dict[str, tuple[int, int]] = {}
     submission = Submission(method, sparse, sizes)

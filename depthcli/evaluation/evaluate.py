@@ -96,7 +96,7 @@ def _scene_of_file(
     common: dict[str, Any] = {"name": truth.stem, "folder": truth.parent, "protocol": protocol.name}
     if issubclass(protocol.kind, StereoScene):
         codes = None if truth.suffix.lower() == ".pfm" else meta.positive("disp_scale") or settings.scale
-        decode = partial(read_disparity, asks=not protocol.name.startswith("kitti"))
+        decode = partial(read_disparity, asks=not protocol.kitti_codes)
         return StereoScene(**common, left=truth, disparity_left=truth, disparity_scale=codes, decode=decode)
     if issubclass(protocol.kind, RgbdScene):
         alone = RgbdScene(**common, color=truth, depth=truth, depth_true=truth, depth_scale=settings.scale)

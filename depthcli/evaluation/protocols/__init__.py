@@ -168,6 +168,7 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
     presentation: ClassVar[Presentation]
     read_truth: Callable[[Any], Any]  # reads the ground truth of a scene of that kind as stored
     headline: Metric  # the metric that ranks runs; ``scores`` has it for every region
+    kitti_codes: ClassVar[bool] = False  # 16-bit maps have KITTI's 256 codes per pixel
     takes: ClassVar[tuple[str, ...]] = ("scale", "threshold")  # names of the settings that make a difference
     region_order: ClassVar[tuple[str, ...]] = ("nonocc", "all", "disc")  # in tables; the first present is the main one
     averages_regions: ClassVar[bool] = False  # the single figure of a run is the mean over all regions
@@ -312,6 +313,12 @@ def names() -> list[str]:
 
 
 @cache
+def has_kitti_codes(name: str) -> bool:
+    """Return the protocol's ``kitti_codes``; False for an unknown name."""
+    known = _REGISTRY.find(name)
+    return known is not None and _REGISTRY.load(known).kitti_codes
+
+
 def load(name: str) -> type[AnyProtocol]:
     """Return the protocol of that name, with dashes or underscores; InputError, with all names, if there is none."""
     known = _REGISTRY.find(name)

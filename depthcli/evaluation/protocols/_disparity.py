@@ -139,7 +139,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         """
         codes = truth.scale if truth.scale is not None and truth.scale < 256 else None
         scale = scale_of(path, self.settings.scale, self.settings.any_scale)
-        estimate = read_foreign_map(path, scale, self.settings.invalid, codes, self.name.startswith("kitti"))
+        estimate = read_foreign_map(path, scale, self.settings.invalid, codes, self.kitti_codes)
         try:
             warning = scale_warning(self.resized(estimate, truth), truth.values)
         except ValueError as error:

@@ -58,6 +58,7 @@ class Kitti2012Protocol(DisparityProtocol):
         ),
         visible_region="noc",
     )
+    kitti_codes = True
     region_order: ClassVar[tuple[str, ...]] = ("noc", "occ")
     curve_regions = ("noc", "occ")
     pool = staticmethod(mean_of_frames)
