@@ -12,7 +12,7 @@ Examples:
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from typer import Option
 
@@ -53,12 +53,14 @@ def confidence(
     """Judge the map of every scene; ``--share`` and ``--threshold`` remove unreliable pixels from disp_left."""
     from depthcli.commands._run import run_maps
     from depthcli.io.formats.plain_text import is_number
-    from depthcli.problems.given_maps import Confidence, largest, measures_named
+    from depthcli.problems.given_maps import Confidence, ConfidenceOptions, largest, measures_named
 
     if is_number(run.keep or ""):
         raise ConfigError(f"--keep takes names of files; the share of the surest pixels is --share {run.keep}")
     if share is not None and threshold is not None:
         raise ConfigError("--share and --threshold exclude each other")
-    options: dict[str, Any] = {"max_disparity": largest(max_disparity), "bound": {"level": level, "within": within}}
-    options |= {"keep": share, "threshold": threshold, "measures": measures_named(measure or [], "--measure")}
+    options = ConfidenceOptions(
+        max_disparity=largest(max_disparity), bound={"level": level, "within": within}, keep=share,
+        threshold=threshold, measures=measures_named(measure or [], "--measure"),
+    )  # fmt: skip
     return run_maps(Confidence(options), pairs, coding, run, [maps], witness or [], right_maps)

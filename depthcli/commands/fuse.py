@@ -12,7 +12,7 @@ Examples:
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from typer import Option
 
@@ -48,7 +48,7 @@ def fuse(
             raise ConfigError("--maps goes with depthcli fuse maps, not with a config")
         return run_problem("fuse", config, pairs, run, set, bound=bounds.promise(), **pairs.settings())
     from depthcli.methods.given_maps.fusion import MAX_MAPS
-    from depthcli.problems.given_maps import FuseMaps, largest
+    from depthcli.problems.given_maps import FuseMaps, FuseMapsOptions, largest
 
     if not 1 <= len(maps or ()) <= MAX_MAPS:
         raise ConfigError(f"--maps: give 1 to {MAX_MAPS} runs or maps (got {len(maps or ())})")
@@ -56,6 +56,7 @@ def fuse(
     if unused or set:
         name = (unused or ["set"])[0].rpartition(".")[2].replace("_", "-")
         raise ConfigError(f"--{name} does not go with fuse maps")
-    options: dict[str, Any] = {"max_disparity": largest(pairs.max_disparity), "surfaces": surfaces}
-    options |= {"within": bounds.within, "bound": bounds.promise()}
+    options = FuseMapsOptions(
+        max_disparity=largest(pairs.max_disparity), surfaces=surfaces, within=bounds.within, bound=bounds.promise()
+    )
     return run_maps(FuseMaps(options), pairs, coding, run, maps or [])

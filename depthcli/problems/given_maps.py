@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -167,15 +167,34 @@ class MapInputs(Inputs):
         return top, clean, warnings
 
 
+class ConfidenceOptions(TypedDict, total=False):
+    """The options of ``confidence``, as in ``run.yaml``; those of files are not needed for arrays."""
+
+    max_disparity: int | None
+    bound: dict[str, float]  # level and within
+    measures: list[str]
+    keep: float | None  # share of the pixels
+    threshold: float | None  # smallest probability
+
+
+class FuseMapsOptions(TypedDict, total=False):
+    """The options of ``fuse maps``, as in ``run.yaml``."""
+
+    max_disparity: int | None
+    within: float
+    surfaces: bool
+    bound: dict[str, float] | None  # level and within
+
+
 @dataclass(frozen=True)
 class GivenMaps(Problem[MapsScene, MapInputs, ResultT]):
-    """Maps of pairs, found in runs; ``config`` has the options, None if not given."""
+    """Maps of pairs, found in runs."""
 
     layouts = PAIRS
     n_added: ClassVar[int] = 0
     """Number of maps that are compared with the given maps."""
 
-    config: Mapping[str, Any]
+    config: ConfidenceOptions | FuseMapsOptions
 
     def truth_scenes(self, scenes: Sequence[MapsScene]) -> Sequence[Scene]:
         """Return the pairs without their maps."""
@@ -194,8 +213,7 @@ class GivenMaps(Problem[MapsScene, MapInputs, ResultT]):
 
     def max_disparity(self, scene: MapsScene) -> int | None:
         """Return the largest disparity from the options or the scene, or None."""
-        given: int | None = self.config["max_disparity"]
-        return given or scene.max_disparity
+        return self.config["max_disparity"] or scene.max_disparity
 
     def inputs(self, scene: MapsScene, images: StereoPair | Image) -> MapInputs:
         """Return the images with the maps of a scene. Raise InputError for maps of another size."""
@@ -213,6 +231,8 @@ class GivenMaps(Problem[MapsScene, MapInputs, ResultT]):
 @dataclass(frozen=True)
 class Confidence(GivenMaps[MapConfidence]):
     """Judge the first map of a scene."""
+
+    config: ConfidenceOptions
 
     command = "confidence"
     writes = (*MAP_FILES, "probability.png")
@@ -263,8 +283,10 @@ class Confidence(GivenMaps[MapConfidence]):
         # For a value above the largest disparity, the true disparity is assumed to be in 0 .. ``top``.
         bound = np.where(known & np.isnan(clean[0]), values, judgment.bound)
         context.clock.include(judgment.seconds)
-        details = judgment.confidence, top, judgment.seconds, tuple(warnings)
-        return MapConfidence(values, bound, judgment.probability, status, *details)
+        return MapConfidence(
+            values, bound, judgment.probability, status, measures=judgment.confidence, max_disparity=top,
+            seconds=judgment.seconds, warnings=tuple(warnings),
+        )  # fmt: skip
 
     def row(self, inputs: MapInputs, result: MapConfidence) -> Row:
         """Return size, range, density, mean probability, share of hidden pixels, and median bound."""
@@ -283,6 +305,8 @@ class Confidence(GivenMaps[MapConfidence]):
 @dataclass(frozen=True)
 class FuseMaps(GivenMaps[Disparity]):
     """Fuse the maps of a scene by choosing the best value per pixel."""
+
+    config: FuseMapsOptions
 
     command = "fuse-maps"
     n_added = N_ADDED
@@ -325,8 +349,10 @@ class FuseMaps(GivenMaps[Disparity]):
         context.clock.include(best.seconds)
         disparity, confidence = best.disparity, {"probability": best.probability} if level is None else {}
         result = StereoResult(disparity=disparity, seconds=best.seconds, confidence=confidence)
-        details = SearchRange(0, top), result, best.seconds, tuple(warnings)
-        fused = Disparity(disparity.values, disparity.status, pair.left, *details)
+        fused = Disparity(
+            disparity.values, disparity.status, pair.left, search=SearchRange(0, top), details=result,
+            seconds=best.seconds, warnings=tuple(warnings),
+        )  # fmt: skip
         return fused if level is None else replace(fused, bound=best.bound, probability=best.probability)
 
     def row(self, inputs: MapInputs, result: Disparity) -> Row:
@@ -390,8 +416,10 @@ def map_confidence(
     shape = (images.shape[0], images.shape[1])
     maps = {name: as_map(one, name, shape) for name, one in given.items()}
     other = None if right_disparity is None else as_map(right_disparity, "right_disparity", shape)
-    config = {"max_disparity": max_disparity, "bound": _promise(level, within), "measures": measures_named(measures)}
-    return Confidence(config).solve(MapInputs(images, maps, max_disparity, other), Context(available_memory()))
+    options = ConfidenceOptions(
+        max_disparity=max_disparity, bound=_promise(level, within), measures=measures_named(measures)
+    )
+    return Confidence(options).solve(MapInputs(images, maps, max_disparity, other), Context(available_memory()))
 
 
 def fuse_maps(
@@ -434,8 +462,8 @@ def fuse_maps(
     pair = as_pair(left, right)
     arrays = {f"maps[{k}]": as_map(one, f"maps[{k}]", pair.shape) for k, one in enumerate(maps)}
     promise = _promise(level, within)
-    config = {"within": promise["within"], "bound": promise if bound else None, "surfaces": surfaces}
-    return FuseMaps(config).solve(MapInputs(pair, arrays, max_disparity), Context(available_memory()))
+    options = FuseMapsOptions(within=promise["within"], bound=promise if bound else None, surfaces=surfaces)
+    return FuseMaps(options).solve(MapInputs(pair, arrays, max_disparity), Context(available_memory()))
 
 
 def measures_named(names: Sequence[str], option: str = "measures") -> list[str]:
@@ -543,6 +571,6 @@ class _GivenRun:
 
 
 def _loaded(one: GivenMap, scene: StereoScene, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    values = read_foreign_map(one.path, one.scale, one.invalid, is_kitti=scene.protocol.startswith("kitti"))
+    values = read_foreign_map(one.path, one.scale, one.invalid, is_kitti=protocols.has_kitti_codes(scene.protocol))
     check_same_size(one.path, values.shape, scene.left, shape)
     return values

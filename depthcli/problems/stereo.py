@@ -312,8 +312,10 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         if requested > widest:
             text = f"no pixel of images {pair.shape[1]} wide has a disparity above {widest}"
             warnings = (f"{text}: not searched up to {requested}", *warnings)
-        details = search, result, seconds, warnings, key_points
-        disparity = Disparity(values, without_smoothed(status), pair.left, *details)
+        disparity = Disparity(
+            values, without_smoothed(status), pair.left, search=search, details=result, seconds=seconds,
+            warnings=warnings, key_points=key_points,
+        )  # fmt: skip
         if self.config.bound is None:
             return disparity
         clock.start("bound")
