@@ -56,10 +56,11 @@ def run_problem(
     ``options`` are config key -> value of the option with that name, or None if it is not given. ``adapted`` applies
     further options to the scenes.
     """
-    return run_job(*prepared(command, config, source, run, settings, adapted, **options), run, source)
+    job, scenes = job_and_scenes(command, config, source, run, settings, adapted, **options)
+    return run_job(job, scenes, run, source)
 
 
-def prepared(
+def job_and_scenes(
     command: str,
     config: str,
     source: SceneOptions,
@@ -71,7 +72,8 @@ def prepared(
     """Return a command's problem with its config, and its scenes; parameters are as for ``run_problem``."""
     problem = problems.load(command)
     job = problem.ready(config_with_options(problem.model, config, settings, options))
-    return job, job.units(adapted(find_scenes(problem.layouts, source, run)), run.reporter)
+    scenes = adapted(find_scenes(problem.layouts, source, run))
+    return job, job.units(scenes, run.reporter)
 
 
 def find_scenes(layouts: Layouts[SceneT], source: SceneOptions, run: RunOptions) -> list[SceneT]:

@@ -106,14 +106,14 @@ def _trials_of(
     options: RunOptions,
 ) -> tuple[dict[str, _Trial], str]:
     """Return name -> trial, and the name of the one with the config's own values, or an empty text."""
-    from depthcli.commands._run import prepared
+    from depthcli.commands._run import job_and_scenes
     from depthcli.evaluation.sweeps import OWN_VALUES, folder_names, value_text
 
     def run_of(name: str, values: Combination) -> _Trial:
         place = options.output / _RUNS / name
         quiet = replace(options, output=place, json=False, quiet=True, flag=None, fail_flagged=False)
         own = [(f"--over {key}", f"{key}={value}") for key, value in zip(axes, values, strict=False)]
-        job, scenes = prepared(command, config, source, quiet, [*settings, *own])
+        job, scenes = job_and_scenes(command, config, source, quiet, [*settings, *own])
         return _Trial(values, quiet, job, scenes)
 
     names = folder_names(axes, chosen)

@@ -33,7 +33,7 @@ def transparent(
     ] = None,
 ) -> int:
     """Complete every frame from sparse depth, from stereo of color and infrared, or from a mask."""
-    from depthcli.commands._run import prepared, run_job
+    from depthcli.commands._run import job_and_scenes, run_job
     from depthcli.io.rgbd_frames import TRANSPARENT
     from depthcli.io.scenes.places import local
     from depthcli.problems.transparent import Transparent
@@ -46,7 +46,7 @@ def transparent(
         raise ConfigError(
             "--objects belongs to --color and --depth; in a folder the mask is mask_transparent.* of a scene"
         )
-    job, scenes = prepared("transparent", config, frames, run, set, with_objects, **depths.settings())
+    job, scenes = job_and_scenes("transparent", config, frames, run, set, with_objects, **depths.settings())
     if mask is not None and not (isinstance(job, Transparent) and job.by_mask):
         raise ConfigError(f"--objects: {config} does not look at a mask of the objects; presets such as sensor do")
     return run_job(job, scenes, run, frames)

@@ -133,7 +133,7 @@ class MapInputs(Inputs):
         """(H, W) of the images."""
         return self.images.shape[0], self.images.shape[1]
 
-    def prepared(self) -> tuple[int, list[NDArray[np.float32]], list[str]]:
+    def within_range(self) -> tuple[int, list[NDArray[np.float32]], list[str]]:
         """Return the largest disparity, the maps without values outside of the range, and warnings.
 
         By default, the largest disparity is estimated from the pair, since the scale of the maps may be wrong. If that
@@ -258,7 +258,7 @@ class Confidence(GivenMaps[MapConfidence]):
         """Judge the first map. Raise InputError for unsuitable maps or too little memory."""
         context.clock.start("other")
         images, measures, promise = inputs.images, self.config["measures"], Bound(**self.config["bound"])
-        top, clean, warnings = inputs.prepared()
+        top, clean, warnings = inputs.within_range()
         first = next(iter(inputs.maps.values()))
         known = np.isfinite(first) & (first >= 0)
         if not isinstance(images, StereoPair):
@@ -338,7 +338,7 @@ class FuseMaps(GivenMaps[Disparity]):
         context.clock.start("other")
         if not 1 <= len(maps) <= MAX_MAPS:
             raise InputError(f"maps: expected 1 to {MAX_MAPS} (got {len(maps)})")
-        top, clean, warnings = inputs.prepared()
+        top, clean, warnings = inputs.within_range()
         self.check_memory(inputs, top, context)
         empty = np.zeros(pair.shape, np.uint8)
         coded = zip(clean, [inputs.status.get(name, empty) for name in maps], strict=True)

@@ -8,7 +8,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, Literal, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -131,13 +131,25 @@ class StereoConfig(PairConfig):
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
 
+class Ends(NamedTuple):
+    """The ends of a search range: pixels, or "auto", estimated from the pair; None at the top: both are estimated."""
+
+    low: int | str
+    top: int | str | None
+
+    @property
+    def are_known(self) -> bool:
+        """Whether nothing is estimated."""
+        return isinstance(self.low, int) and isinstance(self.top, int)
+
+
 @dataclass(frozen=True, eq=False)
 class PairInputs(Inputs):
     """A pair with its matcher and the ends of its search range."""
 
     pair: StereoPair
     matcher: PairMatcher
-    ends: tuple[int | str, int | str | None]  # pixels or "auto"; upper end None: estimate both ends from the pair
+    ends: Ends
     sequence: MatchedRange | None = None  # the range from the frames of the pair's sequence
     rectified: Rectified | None = None  # the views, if a calibration rectified them
     warnings: Sequence[str] = ()
@@ -200,7 +212,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
     def limits(self, memory: int) -> Limits:
         """Return the limits for matching a pair with at most ``memory`` bytes."""
 
-    def ends(self, scene: StereoScene | None = None) -> tuple[int | str, int | str | None]:
+    def ends(self, scene: StereoScene | None = None) -> Ends:
         """Return the ends of the search range from the config or, by default, from the scene.
 
         If neither has an upper end, it is "auto". For pairs that a calibration rectifies it is None, and both ends are
@@ -212,7 +224,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
             low = 0 if scene is None else scene.min_disparity
         if top is None and scene is not None:
             top = scene.max_disparity
-        return low, "auto" if top is None and config.calibration is None else top
+        return Ends(low, "auto" if top is None and config.calibration is None else top)
 
     def range_frames(self, scene: StereoScene) -> tuple[StereoScene, ...]:
         """Return the frames of the scene's sequence from which its range is estimated, or an empty tuple.
@@ -241,7 +253,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
 
     def memory(self, scene: StereoScene) -> int | None:
         """Return an estimate from the left image's size, or None if the range is estimated from the pair."""
-        return self._bytes(scene) if all(isinstance(end, int) for end in self.ends(scene)) else None
+        return self._bytes(scene) if self.ends(scene).are_known else None
 
     def memory_bound(self, scene: StereoScene) -> int | None:
         """Return an estimate from the left image's size; None for programs, networks, devices and videos.
@@ -298,7 +310,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         Raise InputError if too few pixels match to estimate the range, or there is not enough memory.
         """
         pair, clock, limits = inputs.pair, context.clock, self.limits(context.memory)
-        if inputs.sequence is None and (inputs.ends[1] is None or "auto" in inputs.ends):
+        if inputs.sequence is None and not inputs.ends.are_known:
             clock.start("range")
         search, key_points = complete_range(*inputs.ends, pair, inputs.sequence)
         clock.start("other")
@@ -534,4 +546,4 @@ class Matcher:
         noise = np.random.default_rng(0).integers(0, 256, (32, 96, 3), np.uint8)
         for image in (noise[..., 0].copy(), noise):
             pair = StereoPair(image, np.roll(image, -2, axis=1), 8)
-            self._solved(PairInputs(pair, method, (0, top)), Context(available_memory()))
+            self._solved(PairInputs(pair, method, Ends(0, top)), Context(available_memory()))

@@ -21,7 +21,7 @@ import depthcli
 from depthcli.cli import command_of, main
 from depthcli.commands import config_model, find, own_names, text_of
 from depthcli.commands._options import PairOptions, RunOptions, parse_bytes
-from depthcli.commands._run import prepared
+from depthcli.commands._run import job_and_scenes
 from depthcli.core import plugins
 from depthcli.core.config_file import find_config, load_config
 from depthcli.evaluation.sweeps import parse_axes
@@ -368,7 +368,7 @@ def test_the_largest_need_of_a_scene(two_scenes: Path, tmp_path: Path):
     pairs, options = PairOptions(input=two_scenes), RunOptions(output=tmp_path)
 
     def needs(*settings: str, config: str = "fast") -> tuple[int | None, int | None]:
-        job, scenes = prepared("stereo", config, pairs, options, settings)
+        job, scenes = job_and_scenes("stereo", config, pairs, options, settings)
         return job.memory(scenes[0]), job.memory_bound(scenes[0])
 
     known, bound = needs()

@@ -222,7 +222,7 @@ class Fusion(AdjustingMatcher):
                 result.confidence["consensus"] = fused.ballot.shares(left.astype(np.int32)[None])[0]
             if self.maps is not None:
                 reoptimized = [
-                    finish(pair, volume, source.optimization, self.refinement, (), clock)[0].disparity
+                    finish(pair, volume, source.optimization, self.refinement, (), clock).result.disparity
                     for source in self.maps.optimizations
                 ]
                 result.disparity, confidences = self.maps(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import ClassVar, Literal, Protocol, Self
+from typing import ClassVar, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +63,7 @@ class CostStages(ConfigModel):
     def match(self, pair: StereoPair, max_disparity: int, clock: Clock) -> StereoResult:
         """Match a pair by these stages over disparities 0 .. ``max_disparity`` inclusive; ``clock`` measures them."""
         volume = self.volume(pair, max_disparity, clock)
-        return finish(pair, volume, self.optimization, self.refinement, self.confidence, clock)[0]
+        return finish(pair, volume, self.optimization, self.refinement, self.confidence, clock).result
 
     def volume(self, pair: StereoPair, max_disparity: int, clock: Clock) -> CostVolume:
         """Compute costs of disparities 0 .. ``max_disparity`` before optimization; ``clock`` measures the stages."""
@@ -106,6 +106,14 @@ def quick_stages(*further: Refinement, window: int = 7, paths: Literal[4, 8] = 8
     )
 
 
+class Finished(NamedTuple):
+    """A result, and the winners of both views that its map was refined from."""
+
+    result: StereoResult
+    left: NDArray[np.uint16]  # (H, W)
+    right: NDArray[np.uint16]
+
+
 def finish(
     pair: StereoPair,
     volume: CostVolume,
@@ -113,11 +121,8 @@ def finish(
     refinement: Iterable[Refinement],
     confidence: Iterable[str],
     clock: Clock,
-) -> tuple[StereoResult, NDArray[np.uint16], NDArray[np.uint16]]:
-    """Compute the map of a cost volume: optimization, winners, refinement, confidence; ``clock`` measures the stages.
-
-    Return the result, and the (H, W) uint16 winners of the left and the right view that the map was refined from.
-    """
+) -> Finished:
+    """Compute the map of a cost volume: optimization, winners, refinement, confidence; ``clock`` measures each."""
     clock.start("optimization")
     volume = optimization(volume, pair)
     best, right = CostMinima.of(volume)
@@ -126,7 +131,7 @@ def finish(
     disparity = refined(disparity, refinement, RefinementContext(pair, volume, right, best))
     clock.start("confidence")
     maps = confidence_maps(volume.costs, confidence)
-    return StereoResult(disparity, seconds=clock.seconds, confidence=maps), best.left, right
+    return Finished(StereoResult(disparity, seconds=clock.seconds, confidence=maps), best.left, right)
 
 
 def refined(disparity: DisparityMap, steps: Iterable[Refinement], context: RefinementContext) -> DisparityMap:
