@@ -1,6 +1,7 @@
 """Photos of boards by cameras that are known: what a calibration has to find."""
 
 from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -81,3 +82,16 @@ def pair(taken: Rig, texture: np.ndarray, turn: np.ndarray, shift: np.ndarray, n
     left = photo(taken.left, texture, turn, shift, noise)
     moved = taken.rotation @ turn, taken.rotation @ shift + taken.translation
     return left, photo(taken.right, texture, *moved, noise + 1000)
+
+
+def opencv(file: Path, taken: Rig, names: str = "K1 D1 K2 D2 R T", unit: float = 1.0) -> Path:
+    """Write a rig as OpenCV does, and return the file."""
+    values = (
+        taken.left.matrix, taken.left.coefficients, taken.right.matrix, taken.right.coefficients, taken.rotation,
+        taken.translation[:, None] / unit, np.array(taken.left.size, np.int32),
+    )  # fmt: skip
+    storage = cv2.FileStorage(str(file), cv2.FILE_STORAGE_WRITE)
+    for name, value in zip(names.split(), values, strict=False):
+        storage.write(name, value)
+    storage.release()
+    return file

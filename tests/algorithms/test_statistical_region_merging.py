@@ -4,14 +4,8 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.segmentation.statistical_region_merging import StatisticalRegionMerging, _depth_levels
+from tests.methods.kinect._made import blocks
 from tests.naive import kinect as naive
-
-
-def blocks(height, width, seed=0, noise=12):
-    rng = np.random.default_rng(seed)
-    coarse = rng.integers(0, 256, (height // 5 + 1, width // 5 + 1, 3))
-    image = coarse.repeat(5, axis=0).repeat(5, axis=1)[:height, :width]
-    return np.clip(image + rng.integers(-noise, noise + 1, image.shape), 0, 255).astype(np.uint8)
 
 
 def depths(height, width, seed=0, unknown=0.3):

@@ -22,6 +22,7 @@ from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.methods.stereo.rectification import rectify_uncalibrated, row_error
 from depthcli.problems import rectified
+from tests.boards import opencv
 from tests.command_line import contents, rows, run
 from tests.golden import refused, told
 
@@ -97,18 +98,6 @@ def pinhole(tmp_path_factory: pytest.TempPathFactory) -> Shot:
 @pytest.fixture(scope="module")
 def fish(tmp_path_factory: pytest.TempPathFactory) -> Shot:
     return shot(tmp_path_factory.mktemp("fish"), rig(fisheye=True))
-
-
-def opencv(file: Path, taken: Rig, names: str = "K1 D1 K2 D2 R T", unit: float = 1.0) -> Path:
-    values = (
-        taken.left.matrix, taken.left.coefficients, taken.right.matrix, taken.right.coefficients, taken.rotation,
-        taken.translation[:, None] / unit, np.array(SIZE, np.int32),
-    )  # fmt: skip
-    storage = cv2.FileStorage(str(file), cv2.FILE_STORAGE_WRITE)
-    for name, value in zip(names.split(), values, strict=False):
-        storage.write(name, value)
-    storage.release()
-    return file
 
 
 def ros(folder: Path, taken: Rig) -> list[Path]:

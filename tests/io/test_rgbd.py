@@ -34,7 +34,7 @@ from depthcli.io.scenes.pairs import PAIRS
 from depthcli.problems.inputs import load_config
 from depthcli.problems.kinect import RefineKinect
 from depthcli.problems.transparent import Transparent
-from tests.cli.test_rectify import opencv
+from tests.boards import opencv
 from tests.command_line import run
 from tests.contracts.layouts import check_layout
 from tests.golden import refused, warned

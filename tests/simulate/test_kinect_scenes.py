@@ -8,6 +8,7 @@ import pytest
 from depthcli.simulate.depth_sensor import simulate_kinect
 from depthcli.simulate.kinect_scenes import SEQUENCE_KINDS, make_kinect_scene, make_kinect_sequence
 from tests.golden import refused
+from tests.methods.kinect._made import same_points
 
 GREY = np.full((60, 120, 3), 128, np.uint8)
 
@@ -91,18 +92,6 @@ def test_sequences(kind):
         both = first.measured & second.measured
         if kind != "camera":
             assert np.nanstd((first.disparity - second.disparity)[both & (first.truth == second.truth)]) > 0.3
-
-
-def same_points(first, other, within: float = 0.5):
-    """Index in ``other`` of what each pixel of ``first`` shows, and whether it is seen there; by truth and poses."""
-    height, width = first.truth.shape
-    motion = np.linalg.inv(other.pose) @ first.pose
-    points = first.intrinsics.points(first.depth_true(), np.isfinite(first.truth))
-    x, y, w = first.intrinsics.matrix @ (motion[:3, :3] @ points.T + motion[:3, 3:])
-    columns, rows = np.rint(x / w).astype(int), np.rint(y / w).astype(int)
-    seen = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    index = np.where(seen, rows * width + columns, 0)
-    return index, seen & (np.abs(other.truth.ravel()[index] - 43.5 / w) < within)
 
 
 def test_a_moving_camera_sees_the_same_points_from_its_poses():

@@ -15,11 +15,9 @@ from depthcli.methods.kinect.layers import Layer
 from depthcli.methods.kinect.pipeline.sequence import carried_labels, still_pixels
 from depthcli.simulate.depth_sensor import KinectSample
 from depthcli.simulate.kinect_scenes import make_kinect_sequence
-from tests.algorithms.test_statistical_region_merging import blocks
 from tests.contracts.inputs import preset
-from tests.methods.kinect.test_surfaces import labels_of, noisy, random_planes
+from tests.methods.kinect._made import blocks, labels_of, noisy, random_planes, same_points
 from tests.naive import kinect as naive
-from tests.simulate.test_kinect_scenes import same_points
 
 
 def sequence(*settings):

@@ -3,36 +3,14 @@
 import numpy as np
 import pytest
 
-from depthcli.algorithms.plane_fitting.polynomials import Polynomial, Surfaces
+from depthcli.algorithms.plane_fitting.polynomials import Polynomial
 from depthcli.methods.kinect.gap_limits import max_disparity_in_gaps
 from depthcli.methods.kinect.layers import add_detail, join_segments
 from depthcli.methods.kinect.shadows import Shadow, Shadows
-from tests.algorithms.test_statistical_region_merging import blocks
+from tests.methods.kinect._made import blocks, labels_of, noisy, random_planes
 from tests.naive import kinect as naive
 
 SHAPES = [(1, 1), (1, 40), (40, 1), (9, 70), (31, 130)]
-
-
-def labels_of(height, width, size=7):
-    rows, columns = np.mgrid[:height, :width]
-    return (rows // size * (width // size + 1) + columns // size).astype(np.int32)
-
-
-def noisy(height, width, seed=0, unknown=0.3):
-    rng = np.random.default_rng(seed)
-    values = (20 + 5 * rng.random((height, width))).astype(np.float32)
-    values[rng.random((height, width)) < unknown] = np.nan
-    return values
-
-
-def random_planes(coefficients, scale):
-    """Surfaces of 1, x / 50, y / 50, and their value (surface, y, x)."""
-    count = len(scale)
-    surfaces = Surfaces(
-        np.zeros((count, 6)), np.zeros((count, 2)), np.full((count, 2), (0, 99), np.float32), scale, 50.0
-    )
-    surfaces.coefficients[:, :3] = coefficients
-    return surfaces, lambda s, y, x: float(coefficients[s] @ [1, x / 50, y / 50])
 
 
 @pytest.mark.parametrize("shape", SHAPES)
