@@ -88,7 +88,7 @@ def opencv(file: Path, taken: Rig, names: str = "K1 D1 K2 D2 R T", unit: float =
     """Write a rig as OpenCV does, and return the file."""
     values = (
         taken.left.matrix, taken.left.coefficients, taken.right.matrix, taken.right.coefficients, taken.rotation,
-        taken.translation[:, None] / unit, np.array(taken.left.size, np.int32),
+        taken.translation[:, None] / unit, np.array(taken.left.size or (0, 0), np.int32),
     )  # fmt: skip
     storage = cv2.FileStorage(str(file), cv2.FILE_STORAGE_WRITE)
     for name, value in zip(names.split(), values, strict=False):
