@@ -147,20 +147,23 @@ def table(
     """
     key, error = (np.concatenate([one[name] for _, one in maps]) for name in (odds, "error"))
     weight = np.concatenate([np.full(one["error"].size, one.get("weight", 1) / one["error"].size) for _, one in maps])
-    of = np.repeat([family for family, _ in maps], [one["error"].size for _, one in maps])
+    families, of = np.unique([family for family, _ in maps], return_inverse=True)
+    of = np.repeat(of, [one["error"].size for _, one in maps])
     edges = quantiles(key, weight, shares)
     bins = np.searchsorted(edges[1:-1], key, side="right")
     below = np.interp(key, *ranked(key, weight)) if reach else key
-    rows = np.full((len(set(of)), len(shares) - 1, len(LEVELS)), np.nan)
+    rows = np.full((len(families), len(shares) - 1, len(LEVELS)), np.nan)
     filled, centers = np.zeros((2, rows.shape[1]))
     for row, middle in enumerate((shares[1:] + shares[:-1]) / 2):
-        inside = np.maximum(0, 1 - np.abs(below - middle) / reach) if reach else bins == row
-        filled[row], centers[row] = (weight * inside).sum(), (weight * inside * key).sum()
-        for k, family in enumerate(sorted(set(of))):
-            its = (of == family) & (inside > 0)
+        inside = np.maximum(0, 1 - np.abs(below - middle) / reach) if reach else (bins == row).astype(np.float64)
+        there = np.flatnonzero(inside)
+        its_weight, its_family = (weight * inside)[there], of[there]
+        errors = np.log2(np.maximum(error[there], 1 / 64))
+        filled[row], centers[row] = its_weight.sum(), (its_weight * key[there]).sum()
+        for k in range(len(families)):
+            its = its_family == k
             if its.sum() >= min_samples:
-                errors, weights = np.log2(np.maximum(error[its], 1 / 64)), (weight * inside)[its]
-                rows[k, row] = quantiles(errors, weights, LEVELS)
+                rows[k, row] = quantiles(errors[its], its_weight[its], LEVELS)
     enough = ~np.isnan(rows[:, :, 0]).all(axis=0)
     rows, filled = rows[:, enough], filled[enough]
     mean = np.nanmean(rows, axis=0)

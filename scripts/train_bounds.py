@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Make the tables by which the log odds of disparity maps become bounds of their errors, and check them.
+"""Make the table by which the log odds of disparity maps become bounds of their errors, and check it.
 
     scripts/train_bounds.py DATA OUT [--samples DIR]
 
-DATA is the folder with the test sets; OUT gets map_errors.csv, for maps of depthcli, and map_errors_given.csv and
-map_errors_one_view.csv, for maps of any program. Maps of the methods are judged on all tuning and validation scenes, as
-they are and as other programs make them (``KINDS``); --samples keeps the sampled pixels in a folder, and takes those
-that are there. Printed is the coverage of nominal 90 % on each data set, by the table made of the other sets: of maps
-of depthcli, whose filled values are known, and of given maps.
+DATA is the folder with the test sets; OUT gets map_errors.csv. Maps of the methods are judged on all tuning and
+validation scenes, as they are and as other programs make them (``KINDS``); --samples keeps the sampled pixels in a
+folder, and takes those that are there. Printed is what bounds of nominal 90 % cover on each data set, and the
+calibration error of probabilities, by the table made of the other sets: of maps of depthcli, whose filled values are
+known, of given maps, and of given maps without a right image.
 """
 
 import zlib
@@ -27,21 +27,33 @@ from depthcli.algorithms.error_table import ErrorTable
 from depthcli.core.context import Clock
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
+from depthcli.evaluation.curves import reliability
 from depthcli.io.stereo_pairs import load_pair, true_disparity
-from depthcli.methods.given_maps import FILLED_DOUBT, judged_maps, odds_of, odds_within, rounded, without_gaps
+from depthcli.methods.given_maps import (
+    FILLED_DOUBT,
+    GIVEN_DOUBT,
+    judged_maps,
+    odds_of,
+    odds_within,
+    rounded,
+    without_gaps,
+)
 from depthcli.methods.given_maps._planes import ONE_VIEW, Evidence
 from depthcli.problems.given_maps import networks
 
 TAUGHT = ("fast", "accurate", "opencv-sgbm")
-METHODS = (*TAUGHT, "segments")  # the last one only checks the tables
+METHODS = (*TAUGHT, "segments")  # the last one only checks the table
 AS_IT_IS, ROUNDED = "as it is", "rounded"
 KINDS = {AS_IT_IS: METHODS, "half size": ("fast", "opencv-sgbm"), "smoothed": ("fast",), ROUNDED: ("fast",)}
-"""Kind of maps -> methods. Rounded maps only check the tables, to which given_maps.rounded adds what rounding adds."""
-WEIGHTS = {AS_IT_IS: 1.0, "half size": 2.0, "smoothed": 1.0}
-"""Weights of maps among those that teach the tables of given maps."""
-TABLES = {"map_errors": ("right", 0.15), "map_errors_given": ("right", 0.3), "map_errors_one_view": ("one_view", 0.15)}
-"""Tables -> log odds, and how much worse than the mean new data may be, as :func:`table` has it."""
+"""Kind of maps -> methods. Only maps as they are teach; given_maps.rounded adds to the table what rounding adds."""
+WORST_SHARE = 0.15  # how much worse than the mean new data may be, as :func:`table` has it
 NOISE = 0.08  # of truth and rectification, pixels
+JUDGED = {
+    "maps of depthcli": ("right", FILLED_DOUBT, np.float32(0)),
+    "given maps": ("right", np.float32(0), GIVEN_DOUBT),
+    "given maps without a right image": ("one_view", np.float32(0), GIVEN_DOUBT),
+}
+"""How maps are judged -> log odds, and doubts of filled values and of all."""
 PIXELS = 20_000  # of a map
 
 
@@ -125,7 +137,7 @@ def sampled_maps(data: Path, folder: Path | None) -> Iterator[Sample]:
         checked = not name.startswith("tuning") or family == "middlebury_v2"
         for kind, methods in KINDS.items():
             for method in methods:
-                if checked or (method in TAUGHT and kind != ROUNDED):
+                if checked or (method in TAUGHT and kind == AS_IT_IS):
                     file = f"{name}__{method}__{kind}"
                     found = kept(folder, file, lambda s=scene, m=method, k=kind: s.sampled(m, k))
                     yield Sample(family, method, kind, checked, found)
@@ -134,41 +146,42 @@ def sampled_maps(data: Path, folder: Path | None) -> Iterator[Sample]:
 def main() -> None:
     options = _env.options(__doc__, "data", "out", samples=None)
     maps = list(sampled_maps(options.data, options.samples))
-    taught = [one for one in maps if one.method in TAUGHT]
-    for name, (odds, worse) in TABLES.items():
-        weights = {AS_IT_IS: 1.0} if name == "map_errors" else WEIGHTS
+    families = sorted({one.family for one in maps})
 
-        def made(
-            left_out: str = "", weights: dict[str, float] = weights, by: str = odds, e: float = worse
-        ) -> ErrorTable:
-            teachers = [one for one in taught if one.family != left_out and one.kind in weights]
-            weighted = [(one.family, one.found | {"weight": weights[one.kind]}) for one in teachers]
-            return table(weighted, by, worst_share=e, noise=NOISE)
+    def made(left_out: str = "") -> ErrorTable:
+        taught = [one for one in maps if one.method in TAUGHT and one.kind == AS_IT_IS and one.family != left_out]
+        return table([(one.family, one.found) for one in taught], "right", worst_share=WORST_SHARE, noise=NOISE)
 
-        write(options.out / f"{name}.csv", made())
+    write(options.out / "map_errors.csv", made())
+    tables = {family: made(family) for family in families}
+    for judged, how in JUDGED.items():
         rows = []
-        for left_out in sorted({one.family for one in maps}):
-            others = made(left_out)
+        for left_out in families:
             checked = [one for one in maps if one.checked and one.family == left_out]
-            groups = {
-                method: [one for one in checked if (one.method, one.kind) == (method, AS_IT_IS)] for method in METHODS
-            }
-            if name != "map_errors":
-                groups = {kind: [one for one in checked if one.kind == kind and one.method in TAUGHT] for kind in KINDS}
-            for label, group in [item for item in groups.items() if item[1]]:
-                by = rounded(others, float(label == ROUNDED))
-                doubt = FILLED_DOUBT if name == "map_errors" else 0
-                judged = [(one.found, by.bound(one.found[odds] - doubt * one.found["filled"], 0.9)) for one in group]
-                holds = [held(one["error"], bound) for one, bound in judged]
-                inside, bad = [one.covered for one in holds], [np.mean(one.surest > 2) for one in holds]
-                filled = [
-                    np.mean((one["error"] <= bound)[one["filled"]]) for one, bound in judged if one["filled"].any()
-                ]
-                shares = np.mean(inside), min(inside), mean_known(filled), np.mean(bad)
-                width = np.mean([one.median for one in holds])
-                rows.append([left_out, label, str(len(group)), *(f"{100 * x:.1f}" for x in shares), f"{width:.2f}"])
+            groups: dict[str, list[Sample]] = {}
+            for one in checked:
+                if judged != "maps of depthcli":
+                    groups.setdefault(one.kind + ", segments" * (one.method == "segments"), []).append(one)
+                elif one.kind == AS_IT_IS:
+                    groups.setdefault(one.method, []).append(one)
+            for label, group in groups.items():
+                by = rounded(tables[left_out], float(label == ROUNDED))
+                figures = [measured(one.found, by, *how) for one in group]
+                covered, filled, bad, error, width = (mean_known(column) for column in zip(*figures, strict=True))
+                shares = (100 * share for share in (covered, min(f[0] for f in figures), filled, bad))
+                numbers = [*(f"{share:.1f}" for share in shares), f"{error:.3f}", f"{width:.2f}"]
+                rows.append([left_out, label, str(len(group)), *numbers])
         header = ["left out", "maps", "n", "covered %", "worst map %", "filled %", "bad 2 of the surest 80 %"]
-        show(f"Coverage of nominal 90 %: {name}", [*header, "median bound, px"], rows)
+        show(f"Nominal 90 %: {judged}", [*header, "calibration error", "median bound, px"], rows)
+
+
+def measured(one: Arrays, by: ErrorTable, name: str, filled: np.float32, every: np.float32) -> tuple[float, ...]:
+    """Return shares covered, of all and of filled values, share bad of the surest, calibration error, median bound."""
+    odds, error = one[name] - filled * one["filled"] - every, one["error"]
+    bound = by.bound(odds, 0.9)
+    holds, right = held(error, bound), reliability(by.unbiased.probability(odds, 1.0), error <= 1)
+    of_filled = float(np.mean((error <= bound)[one["filled"]])) if one["filled"].any() else np.nan
+    return holds.covered, of_filled, float(np.mean(holds.surest > 2)), right.ece if right else np.nan, holds.median
 
 
 if __name__ == "__main__":

@@ -71,9 +71,9 @@ class TrainingScene:
     load: Callable[[], Loaded]
 
 
-def scenes(data: Path) -> Iterator[TrainingScene]:
-    """Yield all scenes to train on."""
-    for group in ("tuning", "validation"):
+def scenes(data: Path, groups: tuple[str, ...] = ("tuning", "validation")) -> Iterator[TrainingScene]:
+    """Yield the scenes to train on: real ones of these groups, and generated ones."""
+    for group in groups:
         for folder, scene in real_scenes(data, group):
             data_set = folder.removeprefix("middlebury_").replace("2001", "v2")
             unused = data_set == "kitti" or (data_set, scene.name) == ("v3", "Teddy")  # which is in v2, too

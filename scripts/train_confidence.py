@@ -66,8 +66,8 @@ def zoomed(scene: TrainingScene) -> TrainingScene:
 
 
 def training_scenes(data: Path) -> list[TrainingScene]:
-    """Return the scenes of the networks that choose, and the real ones enlarged."""
-    found = list(scenes(data))
+    """Return the tuning scenes of the networks that choose, and the real ones enlarged."""
+    found = list(scenes(data, ("tuning",)))
     return found + [zoomed(scene) for scene in found if scene.name.startswith("middlebury") and scene.name[-1] == "_"]
 
 

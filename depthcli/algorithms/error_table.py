@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import cv2
@@ -53,17 +53,24 @@ class ErrorTable:
         return np.asarray(cv2.remap(grid, *at, cv2.INTER_LINEAR), np.float32)
 
     @cached_property
+    def unbiased(self) -> ErrorTable:
+        """The table at the log odds that its errors up to 1 have, so that it adds no margin to such a probability."""
+        log_odds = _logit(self._shares(np.zeros(1), self.log_odds)[:, 0])
+        log_odds[[0, -1]] += self.log_odds[[0, -1]] - self.log_odds[[1, -2]]  # far away, so that the order stays
+        return replace(self, log_odds=log_odds)
+
+    @cached_property
     def _points(self) -> Doubles:
         return np.linspace(self.log_odds[0], self.log_odds[-1], _POINTS)
 
     @cached_property
     def _grid(self) -> tuple[Doubles, Floats]:
         limits = np.linspace(self.log2_errors.min() - 2, self.log2_errors.max() + 2, _LIMITS)
-        return limits, self._shares(limits).astype(np.float32)
+        return limits, self._shares(limits, self._points).astype(np.float32)
 
-    def _shares(self, limits: Doubles) -> Doubles:
-        """Return the shares of the errors up to 2 ** limit; rows are points of the log odds, columns are limits."""
-        rows = np.stack([np.interp(self._points, self.log_odds, column) for column in self.log2_errors.T], axis=1)
+    def _shares(self, limits: Doubles, at: Doubles) -> Doubles:
+        """Return the shares of the errors up to 2 ** limit; rows are log odds, columns are limits."""
+        rows = np.stack([np.interp(at, self.log_odds, column) for column in self.log2_errors.T], axis=1)
         places = _logit(self.levels)
         inside = 1 / (1 + np.exp(-np.array([np.interp(limits, row, places) for row in rows])))
         below = self.levels[0] * np.exp2(np.minimum(limits - rows[:, :1], 0))
@@ -84,7 +91,7 @@ class ErrorTable:
 
 @lru_cache(16)
 def _shares_within(table: ErrorTable, within: float) -> Doubles:
-    return table._shares(np.array([math.log2(within)]))[:, 0]
+    return table._shares(np.array([math.log2(within)]), table._points)[:, 0]
 
 
 def _logit(share: float | Doubles) -> Doubles:

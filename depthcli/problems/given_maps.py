@@ -60,10 +60,9 @@ _RIGHT_FILES = MapFiles(("{scene}/disp_right", "disp_1/{scene}", "{scene}_right"
 
 @cache
 def networks() -> Networks:
-    """Return the package's networks and error tables for given maps."""
+    """Return the package's networks and error table for given maps."""
     right, hidden, one_view = (read_network(network_path(f"map_{name}")) for name in ("right", "hidden", "one_view"))
-    tables = (read_errors(f"map_errors{of}") for of in ("", "_given", "_one_view"))
-    return Networks(right, hidden, one_view, *tables)
+    return Networks(right, hidden, one_view, read_errors("map_errors"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,10 @@ WITHIN = np.geomspace(0.25, 8, 25)
 ODDS = np.linspace(-12, 12, 300).astype(np.float32)
 
 
-@pytest.fixture(params=["errors", "given_errors", "one_view_errors", "depth"])
+@pytest.fixture(params=["disparity", "disparity, unbiased", "depth"])
 def table(request: pytest.FixtureRequest) -> ErrorTable:
-    found = kinect_errors().errors if request.param == "depth" else getattr(networks(), request.param)
-    assert isinstance(found, ErrorTable)
-    return found
+    found = (kinect_errors() if request.param == "depth" else networks()).errors
+    return found.unbiased if "unbiased" in request.param else found
 
 
 def naive_bound(table: ErrorTable, odds: float, level: float) -> float:
@@ -54,6 +53,15 @@ def test_limits_of_single_values_give_what_one_for_all_gives(table: ErrorTable):
     want = np.stack([table.probability(ODDS, float(within)) for within in WITHIN])
     np.testing.assert_allclose(found, want, atol=0.03)
     assert (np.diff(found, axis=0) >= 0).all() and (np.diff(found, axis=1) >= 0).all()
+
+
+def test_the_unbiased_table_gives_the_probability_that_its_log_odds_say():
+    found = networks().errors
+    for odds in np.linspace(-5, 4.5, 20, dtype=np.float32):
+        likely = found.unbiased.probability(np.array([odds]), 1.0)[0]
+        assert likely == pytest.approx(1 / (1 + math.exp(-odds)), abs=0.01)
+        assert likely > found.probability(np.array([odds]), 1.0)[0] - 0.005, "the table has a margin for new data"
+    assert (np.diff(found.unbiased.probability(np.linspace(-12, 12, 100, dtype=np.float32), 1.0)) > 0).all()
 
 
 def test_the_probability_of_the_bound_is_its_level(table: ErrorTable):

@@ -4,8 +4,9 @@ In: a pair and maps of its left view. Out: a :class:`MapJudgment` of the first m
 map from :mod:`.fusion`. :func:`judge` computes the costs of the pair with the preset ``stereo fast`` (``Evidence``),
 and then planes of features from the costs, the map's shape and the other maps (``_planes``). A small network converts
 the planes to log odds (``algorithms.pixel_network``). A table (``algorithms.error_table``) converts log odds to a
-probability and an error bound. Single planes also serve as measures. ``scripts/train_confidence.py`` trains the network
-on tuning scenes, and ``scripts/train_bounds.py`` makes the table.
+probability and an error bound. It has a margin for new data, which counts in bounds but not in probabilities. Single
+planes also serve as measures. ``scripts/train_confidence.py`` trains the network on tuning scenes, and
+``scripts/train_bounds.py`` makes the table.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ Filled = NDArray[np.bool_] | np.bool_
 _NOWHERE = np.False_
 FILLED_DOUBT = np.float32(0.75)
 """Reduction of the log odds of values that a program marks as filled (scripts/train_bounds.py)."""
+GIVEN_DOUBT = np.float32(0.5)
+"""Reduction of the log odds of maps of other programs, which may be smoothed or enlarged (scripts/train_bounds.py)."""
 _MAX_DIFFERENCE = np.float32(16.0)  # largest difference between the views, pixels
 _DISTINCT = 0.6  # a match of the pair is distinct if log(second smallest cost / smallest cost) exceeds this
 # Share of the distinct matches that a map may contradict; reduction of the log odds of all its values per share above;
@@ -54,17 +57,14 @@ _N_LOOKED_AT = 100_000  # values of a map, for its step
 class Networks(NamedTuple):
     """Networks for the log odds that a pixel is correct, that it is hidden, and that it is correct without right image.
 
-    The network ``right`` has two error tables: ``errors`` for maps of depthcli, and ``given_errors`` for maps of any
-    program, which may have been smoothed or computed at half the size. The table of ``one_view`` is
-    ``one_view_errors``, for any program.
+    ``errors`` are those of maps of depthcli at the log odds of ``right``, and, with ``GIVEN_DOUBT``, of given maps at
+    the log odds of ``right`` and ``one_view``.
     """
 
     right: TrainedNetwork
     hidden: TrainedNetwork
     one_view: TrainedNetwork
     errors: ErrorTable
-    given_errors: ErrorTable
-    one_view_errors: ErrorTable
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ def judge(
     clock.start("planes")
     judged = judged_maps(evidence, maps)[0]
     clock.start("network")
-    probability, bound = promised_of(networks, networks.given_errors, judged, within, level)
+    probability, bound = promised_of(networks, judged, within, level)
     hidden = log_odds(networks.hidden, networks.hidden.layers[0][1][0], judged.alone, judged.others[:0]) > 0
     status = with_reasons(judged.values, judged.missing, probability, hidden)
     confidence = {name: _known(MEASURES[name].of(judged, evidence, right), judged.missing) for name in measures}
@@ -205,7 +205,7 @@ def bounds(
     ``filled`` values, (H, W) bool, are less certain than measured values.
     """
     judged = judged_maps(Evidence.of(pair, max_disparity, Clock(), context), [values])[0]
-    return promised_of(networks, networks.errors, judged, within, level, filled)
+    return promised_of(networks, judged, within, level, filled, np.float32(0))
 
 
 def judge_by_one_view(
@@ -229,9 +229,8 @@ def judge_by_one_view(
     whole, missing = without_gaps(values, max_disparity)
     planes = _planes.one_view_planes(whole, StereoPair(left, left).grey8[0].astype(np.float32), max_disparity)
     clock.start("network")
-    odds = odds_within(network, 1.0, planes, planes[:0])
-    table = rounded(networks.one_view_errors, rounding_step(values))
-    probability, bound = promised(table, odds, missing, within, level)
+    odds = odds_within(network, 1.0, planes, planes[:0]) - GIVEN_DOUBT
+    probability, bound = promised(networks.errors, odds, values, missing, within, level)
     confidence = {}
     for name in measures:
         if (measure := MEASURES[name]).source in ONE_VIEW:
@@ -300,15 +299,12 @@ def odds_within(network: TrainedNetwork, within: float, alone: Plane, others: Pl
 
 
 def promised_of(
-    networks: Networks, errors: ErrorTable, judged: Judged, within: float, level: float, filled: Filled = _NOWHERE
-) -> tuple[Plane, Plane]:
-    """Return probability and bound (H, W) of a judged map by one of the tables of ``networks.right``.
-
-    Rounding counts in all maps: the tables are of sub-pixel maps, and some methods of depthcli give whole pixels.
-    """
-    odds = odds_of(networks, judged, 1.0) - doubt(judged) - FILLED_DOUBT * filled
-    table = rounded(errors, rounding_step(judged.values[~judged.missing]))
-    return promised(table, odds, judged.missing, within, level)
+    networks: Networks, judged: Judged, within: float, level: float, filled: Filled = _NOWHERE,
+    given_doubt: np.float32 = GIVEN_DOUBT,
+) -> tuple[Plane, Plane]:  # fmt: skip
+    """Return probability and bound (H, W) of a judged map; ``filled`` values, (H, W) bool, are less certain."""
+    odds = odds_of(networks, judged, 1.0) - doubt(judged) - FILLED_DOUBT * filled - given_doubt
+    return promised(networks.errors, odds, judged.values, judged.missing, within, level)
 
 
 def rounding_step(values: NDArray[np.float32]) -> float:
@@ -354,11 +350,15 @@ def doubt(judged: Judged) -> np.float32:
 
 
 def promised(
-    table: ErrorTable, odds: Plane, missing: NDArray[np.bool_], within: float, level: float
+    table: ErrorTable, odds: Plane, values: Plane, missing: NDArray[np.bool_], within: float, level: float
 ) -> tuple[Plane, Plane]:
-    """Return probability and bound (H, W) of a map from its log odds of an error up to 1 pixel."""
-    probability = np.where(missing, np.float32(0), table.probability(odds, within))
-    return probability, _known(table.bound(odds, level), missing)
+    """Return probability and bound (H, W) of a map from its log odds of an error up to 1 pixel.
+
+    Rounding counts in all maps: the table is of sub-pixel maps, and some methods of depthcli give whole pixels.
+    """
+    step = rounding_step(values[~missing])
+    probability = np.where(missing, np.float32(0), rounded(table.unbiased, step).probability(odds, within))
+    return probability, _known(rounded(table, step).bound(odds, level), missing)
 
 
 def with_reasons(

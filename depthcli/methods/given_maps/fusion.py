@@ -95,7 +95,5 @@ def fuse(
     if level is not None:
         clock.start("bound")
         filled = (status & np.uint8(Status.FILLED)) > 0
-        probability, bound = promised_of(
-            networks, networks.given_errors, judged_maps(evidence, [values])[0], within, level, filled
-        )
+        probability, bound = promised_of(networks, judged_maps(evidence, [values])[0], within, level, filled)
     return Fused(DisparityMap(values, status), clock.seconds, probability, bound)

@@ -243,4 +243,4 @@ def test_bounds_of_rounded_maps_cover_what_rounding_adds(pair: StereoPair, scene
     assert (found.bound >= 0.45).all() and np.median(found.bound) < 0.9
     assert (given_maps.judge(networks(), pair, [exact], 32).bound < 0.45).any()
     likely = given_maps.judge(networks(), pair, [values], 32, within=float(np.median(found.bound))).probability
-    assert np.median(likely) == pytest.approx(0.9, abs=0.02)
+    assert 0.88 < np.median(likely) < 0.99
