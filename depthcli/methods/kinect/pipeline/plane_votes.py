@@ -83,13 +83,7 @@ class PlaneVotes(KinectPipeline):
         limits = shadow_limits(lab, measured, planes, measurement.jump, 3 * noise, shadows)
         sigma_space = self._sigma_space(trust, known, limits, shadows)
         clock.start("paths")
-        trusted = np.where(trust > 0, measured, np.float32(np.nan))
-        possible = np.where(limits.factor < 0.1, limits.value, np.float32(np.inf))
-        cost = np.where(unreliable, np.float32(UNRELIABLE_COST), np.float32(0))
-        path, _ = fill_gaps(trusted, lab, None, possible, cost, noise)
-        dsrm, _, _ = Dsrm().surfaces(frame, measurement, clock)
-        share = np.where(known, np.float32(0), np.float32(self.continued_share))
-        continued = ExtraVotes(np.stack([path, dsrm.disparity]), np.stack([share, share]))
+        continued = self._continued(frame, measurement, trust, limits, clock)
         if frame.has_color and self.opening_probability is not None:
             clock.start("openings")
             voters = Voters.of(lab, planes, trust, LEVELS[OPENING_LEVEL][0])
@@ -117,6 +111,19 @@ class PlaneVotes(KinectPipeline):
         result = refined_depth(frame, nearest_fill(planes.value), noise, clock, np.isnan(planes.value))
         result.figures = shadows.figures()
         return result
+
+    def _continued(
+        self, frame: RgbdFrame, measurement: Measurement, trust: Floats, limits: GapLimits, clock: Clock
+    ) -> ExtraVotes:
+        """Return the surfaces around gaps continued into them, along paths and by DSRM."""
+        measured, unreliable = measurement.disparity, np.isnan(measurement.reliable)
+        trusted = np.where(trust > 0, measured, np.float32(np.nan))
+        possible = np.where(limits.factor < 0.1, limits.value, np.float32(np.inf))
+        cost = np.where(unreliable, np.float32(UNRELIABLE_COST), np.float32(0))
+        path, _ = fill_gaps(trusted, measurement.lab, None, possible, cost, measurement.noise)
+        dsrm, _, _ = Dsrm().surfaces(frame, measurement, clock)
+        share = np.where(np.isnan(measured), np.float32(self.continued_share), np.float32(0))
+        return ExtraVotes(np.stack([path, dsrm.disparity]), np.stack([share, share]))
 
     def _one_pass(
         self,
