@@ -56,15 +56,14 @@ PluginOption: TypeAlias = Annotated[
 class _Commands(TyperGroup):
     """The commands of ``commands/``; each is imported on use."""
 
-    def __init__(self, **settings: Any) -> None:
-        super().__init__(**settings)
-        self.commands = dict.fromkeys(commands.names())  # type: ignore[assignment]  # read for "did you mean" only
-
     def list_commands(self, ctx: Any) -> list[str]:
         return commands.names()
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        return command_of(cmd_name)
+        found = command_of(cmd_name)
+        if found is None:  # typer looks for similar names
+            self.commands = dict.fromkeys(commands.names())  # type: ignore[assignment]
+        return found
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         for heading, names in commands.grouped_names().items():

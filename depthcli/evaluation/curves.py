@@ -222,4 +222,5 @@ def hidden_pixels(status: NDArray[np.uint8], regions: Mapping[str, NDArray[np.bo
     if not hidden.any():
         return None
     marked = ((status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0) & known
-    return HiddenPixels(*(int(np.count_nonzero(each)) for each in (marked & hidden, marked, hidden, known)))
+    both = int(np.sum(marked & hidden))
+    return HiddenPixels(both, int(np.sum(marked)), int(np.sum(hidden)), int(np.sum(known)))

@@ -286,7 +286,7 @@ def read_plane(path: Path | str) -> NDArray[Any]:
             return read_exr(path)
         if kind == "Pfm":
             return _decode_pfm(data, path)
-        numbers = decode_numbers(data)
+        numbers = decode_numbers(data) if kind == "Tiff" else None
         return read_grey(path) if numbers is None else numbers
 
 

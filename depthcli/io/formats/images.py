@@ -256,12 +256,12 @@ def decode_bits(data: bytes) -> NDArray[np.uint8]:
 
 
 def decode_numbers(data: bytes) -> NDArray[Any] | None:
-    """Return the (H, W) numbers of a one-channel TIFF that are floating-point, signed or longer than 16 bit.
+    """Return the (H, W) numbers of a one-channel TIFF if they are floating-point, signed or longer than 16 bit.
 
-    float64 becomes float32, infinite beyond its range. Return None for other files.
+    float64 becomes float32, infinite beyond its range. Return None for images of 8 or 16 bit.
     """
-    header = _check_tiff(data) if image_kind(data) == "Tiff" else None
-    if header is None or header.is_image:
+    header = _check_tiff(data)
+    if header.is_image:
         return None
     header.check_numbers()
     with _decoding("Tiff"):
