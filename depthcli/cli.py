@@ -89,24 +89,17 @@ def command_of(name: str) -> Any:
 
 def _with_groups(function: Callable[..., int]) -> Callable[..., int]:
     """Return a command's function with a signature for typer, in which fields of groups are options."""
-    groups: dict[str, tuple[type, list[str]]] = {}
-    make = functools.partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
-    parameters = [make("plugin", default=None, annotation=PluginOption), make("context", annotation=typer.Context)]
+    groups: dict[str, tuple[Any, list[str]]] = {}
+    parameters = [_keyword("plugin", PluginOption, None), _keyword("context", typer.Context)]
     hints = get_type_hints(function, include_extras=True)
     for name, parameter in inspect.signature(function).parameters.items():
         kind = hints[name]
         if not is_dataclass(kind):
             parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kind))
             continue
-        types, own = get_type_hints(kind, include_extras=True), []
-        for each in fields(kind):
-            described = each.metadata.get("option")
-            annotation = types[each.name] if described is None else Annotated[types[each.name], described]
-            if hasattr(annotation, "__metadata__"):
-                default = inspect.Parameter.empty if each.default is MISSING else each.default
-                parameters.append(make(each.name, default=default, annotation=annotation))
-                own.append(each.name)
-        groups[name] = kind, own  # type: ignore[assignment]
+        options = _options_of(kind)
+        parameters += options
+        groups[name] = kind, [option.name for option in options]
 
     @functools.wraps(function)
     def callback(context: typer.Context, **values: Any) -> int:
@@ -119,6 +112,22 @@ def _with_groups(function: Callable[..., int]) -> Callable[..., int]:
     callback.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     callback.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return callback
+
+
+def _keyword(name: str, annotation: Any, default: Any = inspect.Parameter.empty) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def _options_of(group: Any) -> list[inspect.Parameter]:
+    """Return the options of a group: those of its fields that have typer's description."""
+    types, options = get_type_hints(group, include_extras=True), []
+    for each in fields(group):
+        described = each.metadata.get("option")
+        annotation = types[each.name] if described is None else Annotated[types[each.name], described]
+        if hasattr(annotation, "__metadata__"):
+            default = inspect.Parameter.empty if each.default is MISSING else each.default
+            options.append(_keyword(each.name, annotation, default))
+    return options
 
 
 app = typer.Typer(

@@ -42,6 +42,7 @@ def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     coding: dict[str, Any] = {name: v for name in ("scale", "invalid") if (v := getattr(maps, name)) is not None}
     if coding and not os.path.isfile(local(maps.run)):
         raise ConfigError(f"--{next(iter(coding))} belongs to a single map; maps of a run are in pixels")
+    # ``calibration_of`` checks options of a calibration: without a file, those of the one beside the images.
     files, settings = maps.calibration or [], {"calibration": "of the images"}
     settings |= {key: value for key, value in maps.settings().items() if value is not None}
     reading = calibration_of(settings)
