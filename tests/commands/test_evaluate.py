@@ -31,7 +31,7 @@ from depthcli.run.records import Record, write_record
 from depthcli.show.view import EMPTY, NO_VALUE, RIGHT, WRONG, View, draw, kind_colors
 from tests.command_line import contents
 from tests.command_line import run as run_command
-from tests.golden import refused
+from tests.golden import refused, told
 from tests.scenes import true
 
 SHAPE = (24, 32)
@@ -142,15 +142,12 @@ def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"b": good[:10]})
     broken = run_of(tmp_path / "broken", {"a": good, "b": good})
     (broken / "a" / "disp_left.pfm").write_bytes(b"Pf\n3 3\n-1\nxx")
-    told = run_of(tmp_path / "told", {"b": good})
-    (told / "report.json").write_text(json.dumps({"scenes": [{"scene": "a", "status": "failed", "error": "too dark"}]}))
-    report = evaluated([run, broken, told], truth, tmp_path / "out")
+    says = run_of(tmp_path / "told", {"b": good})
+    (says / "report.json").write_text(json.dumps({"scenes": [{"scene": "a", "status": "failed", "error": "too dark"}]}))
+    report = evaluated([run, broken, says], truth, tmp_path / "out")
     reasons = {(r.run, r.scene): r.error for r in report.failed}
-    assert "looked for" in reasons["run", "a"]
-    words = {("run", "a"): "no map of scene a", ("run", "b"): "32 x 10", ("broken", "a"): "damaged PFM",
-             ("told", "a"): "too dark"}  # fmt: skip
-    assert set(reasons) == set(words)
-    assert all(words[key] in reason for key, reason in reasons.items())
+    assert set(reasons) == {("run", "a"), ("run", "b"), ("broken", "a"), ("told", "a")}
+    told("\n".join(reasons.values()))
     assert "Not evaluated" in text_of(report)
     assert sum(row["metric"] == "failed" for row in rows(tmp_path / "out")) == 4
 
@@ -486,15 +483,12 @@ def kitti_like(folder: Path, name: str, rng: np.random.Generator) -> np.ndarray:
     return disparity
 
 
-def test_frames_that_look_like_kitti_are_named_once(tmp_path: Path, capsys: pytest.CaptureFixture[str], tool):
+def test_frames_that_look_like_kitti_are_named_once(tmp_path: Path, tool):
     rng = np.random.default_rng(0)
     maps = {name: kitti_like(tmp_path / "set", name, rng) for name in ("f0", "f1")}
     runs = [str(run_of(tmp_path / name, maps)) for name in ("x", "y")]
     command = ["evaluate", *runs, "--truth", str(tmp_path / "set")]
-    assert main([*command, "-o", str(tmp_path / "out")]) == 0
-    (line,) = [line for line in capsys.readouterr().err.splitlines() if "KITTI" in line.upper() and "warning" in line]
-    for said in ("f0 and 1 more", "1242 x 375", "kitti-2015 or kitti-2012", "scored as middlebury-v2", "--protocol"):
-        assert said in line
+    tool.told(0, *command, "-o", tmp_path / "out")
     assert "scored as middlebury-v2" in (tmp_path / "out" / "report.md").read_text()
     for protocol in ("kitti-2015", "kitti-2012", "eth3d"):  # named: no doubt about it
         assert "look like" not in tool.err(0, *command, "--protocol", protocol)

@@ -62,18 +62,7 @@ def test_middlebury_refuses_with_all_reasons(tmp_path: Path, capsys: pytest.Capt
     write_pfm(run / "Recycle" / "disp_left.pfm", np.full((3, 700), -1, np.float32))
     (run / "Shelves" / "disp_left.pfm").write_bytes(b"no map")
     assert export(run, "middlebury-v3", tmp_path / "a.zip", "--method", "our name") == 2
-    said = capsys.readouterr().err
-    for reason in (
-        "--method: expected letters",
-        "1 of 15 training scenes are missing: Vintage",
-        "Piano: 1 pixels without a value; fill them, or submit sparse maps with --sparse",
-        "Pipes: the map is 1400 x 3, the image 700 x 3",
-        "several resolutions: H: Pipes; Q: Adirondack",
-        "Recycle: negative disparities, down to -1",
-        f"Shelves: {run}",
-    ):
-        assert reason in said
-    assert "test scenes" not in said
+    told(capsys.readouterr().err)
     assert not (tmp_path / "a.zip").exists()
 
 
@@ -105,9 +94,7 @@ def test_kitti(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, fo
     write_pfm(run / scenes[3] / "disp_left.pfm", np.full((3, 12), 256, np.float32))
     write_pfm(run / scenes[4] / "disp_left.pfm", np.full((3, 12), np.nan, np.float32))
     assert export(run, name, tmp_path / "b.zip") == 2
-    said = capsys.readouterr().err
-    assert "000003_10: disparities up to 256; 16-bit codes end below 256" in said
-    assert "000004_10: no pixel has a value" in said
+    told(capsys.readouterr().err)
 
 
 def test_kitti_takes_no_training_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -14,7 +14,7 @@ from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.volumes import read_volume, write_array
 from depthcli.run.console import Reporter
 from depthcli.run.flags import conditions_of, flag_rows, plain_name
-from tests.golden import refused
+from tests.golden import refused, told
 
 
 def test_runs_say_which_scenes_are_flagged(two_scenes, tmp_path, tool):
@@ -187,8 +187,7 @@ def test_rows_with_more_reasons_come_first_then_those_farthest_beyond_the_limit(
 
 def test_rows_without_a_value_are_not_flagged_but_counted(capsys):
     assert [scene for scene, _ in flagged("measured<1", "bad 2>0")] == ["a", "b"]
-    err = capsys.readouterr().err
-    assert "1 of 3 rows" in err and "no row has a value for 'bad 2'; did you mean 'bad 1'?" in err
+    told(capsys.readouterr().err)
 
 
 @pytest.mark.parametrize("text", ["measured", "measured<", "", "measured<much", "measured=>0.5", "measured<nan"])

@@ -289,9 +289,8 @@ def test_a_table_from_the_standard_input(separator: str, tmp_path: Path, monkeyp
 def test_patterns_are_suggested_where_no_layout_fits(tmp_path: Path, tool) -> None:
     put(tmp_path / "my rig", "port/1.jpg", "port/2.jpg", "starboard/1.jpg", "thumbs/a.png")
     arguments = "stereo", "opencv-bm", "-o", tmp_path / "run", "--dry-run"
-    err = tool.err(2, *arguments, "-i", tmp_path / "my rig")
+    tool.told(2, *arguments, "-i", tmp_path / "my rig")
     left, right = tmp_path / "my rig/port/*.jpg", tmp_path / "my rig/starboard/*.jpg"
-    assert f"--left '{left}' --right '{right}'" in err and err.count("\n") == 1
     assert run(*arguments, "--left", left, "--right", right) == 0
     put(tmp_path / "other", "a/1.jpg", "b/x.jpg")
     tool.told(2, *arguments, "-i", tmp_path / "other")
