@@ -312,13 +312,13 @@ def names() -> list[str]:
     return [name.replace("_", "-") for name in _REGISTRY.names()]
 
 
-@cache
 def has_kitti_codes(name: str) -> bool:
     """Return the protocol's ``kitti_codes``; False for an unknown name."""
     known = _REGISTRY.find(name)
     return known is not None and _REGISTRY.load(known).kitti_codes
 
 
+@cache
 def load(name: str) -> type[AnyProtocol]:
     """Return the protocol of that name, with dashes or underscores; InputError, with all names, if there is none."""
     known = _REGISTRY.find(name)
