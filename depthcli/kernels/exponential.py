@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from depthcli.kernels.jit import helper, intrinsic, jit, types
+from depthcli.kernels.jit import intrinsic, jit, types
 
 
 def _bits_as(source: Any, target: Any) -> Any:
@@ -41,24 +41,6 @@ def exp_minus(x):
     p = p * t + np.float32(1.0)
     p = p * t + np.float32(1.0)
     return p * bits_float(np.int32((whole + np.int32(127)) << np.int32(23)))
-
-
-@helper
-def exp2_minus(z):
-    """Return 2 ** -z of a float32 z >= 0, relative error 2e-7; z above 125 counts as 125.
-
-    2 ** -z = 2 ** -n * 2 ** -0.5 * exp(u) with n = int(z), u = ln 2 * (0.5 - (z - n)), |u| < 0.35. The first factor is
-    set as the bits of an exponent; the last is a series of degree 6.
-    """
-    half, ln2, root = np.float32(0.5), np.float32(0.6931472), np.float32(0.70710678)
-    c2, c3, c4 = np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)
-    c5, c6 = np.float32(1 / 120), np.float32(1 / 720)
-    one = np.float32(1)
-    z = min(z, np.float32(125))
-    n = np.int32(z)
-    u = ln2 * (half - (z - np.float32(n)))
-    series = one + u * (one + u * (c2 + u * (c3 + u * (c4 + u * (c5 + u * c6)))))
-    return root * series * bits_float(np.int32((np.int32(127) - n) << np.int32(23)))
 
 
 @jit
@@ -96,12 +78,3 @@ def attainable_likelihood(distance):
     ``t`` is the ``distance`` of the candidate's cost from the smallest cost.
     """
     return exp_minus(np.float32(8.0) * distance * distance)
-
-
-@helper
-def peak_ratio(lowest, second, eps):
-    """Return the ratio of a curve's ``second`` cost to its ``lowest`` cost; ``eps`` > 0 avoids a division by 0.
-
-    Depending on the measure, the second cost is the cost of another minimum, or the second smallest of all costs.
-    """
-    return (second + eps) / (lowest + eps)

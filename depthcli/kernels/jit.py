@@ -119,7 +119,7 @@ class _Compiled:
         try:
             if zlib.crc32(content[4:]) != int.from_bytes(content[:4], "little"):  # damaged code must not run
                 raise ValueError("wrong checksum")
-            rtsys.initialize(target)
+            rtsys.initialize(target)  # arrays need it; numba does it before it compiles
             return CompileResult._rebuild(target, *pickle.loads(content[4:]))
         except Exception:  # damage can show anywhere in unpickling and linking
             warn_once(f"{cache_folder()}: compiled kernels there are damaged; they are compiled again")
@@ -138,6 +138,7 @@ class _Compiled:
         if self._files is not None and not compiled.library.has_dynamic_globals:  # addresses in this process
             self._write(self._file(arguments), dumps(parts))
         loaded = CompileResult._rebuild(target.subtarget(_internal_codegen=JITCPUCodegen("depthcli")), *parts)
+        # kernels compiled later link to the loaded copy
         target.insert_user_function(loaded.entry_point, loaded.fndesc, [loaded.library])
         return loaded
 
@@ -155,9 +156,8 @@ class _Compiled:
                 new.unlink()
 
 
-def intrinsic(function: Callable[..., Any]) -> Any:
-    """Return an operation for kernels; ``function`` emits its LLVM code (see numba's manual)."""
-    return numba.extending.intrinsic(function)
+intrinsic: Any = numba.extending.intrinsic
+"""Decorator of operations for kernels, functions that emit LLVM code (see numba's manual)."""
 
 
 def _allocation(are_zeros: bool) -> Any:

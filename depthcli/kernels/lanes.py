@@ -160,15 +160,12 @@ def ordered_sum(builder, a, b):
 def store(typingctx, array, index, value):
     """Assign a vector to ``array[index : index + its lanes]``.
 
-    float32 values are stored as float32, or truncated to uint8; int16 values as int16, or their low halves as uint8;
-    uint8 values as uint8.
+    float32 values are stored as float32, int16 values as int16, or their low halves as uint8, uint8 values as uint8.
     """
 
     def codegen(context, builder, signature, args):
         content = args[2]
         if array.dtype == types.uint8:
-            if value == FLOATS:
-                content = builder.fptosi(content, _INTEGERS)
             content = builder.trunc(content, ir.VectorType(ir.IntType(8), value.vector.count))
         place = address(context, builder, array, args[0], args[1], content.type)
         builder.store(content, place, align=array.dtype.bitwidth // 8)
@@ -266,46 +263,15 @@ def absolute_difference(builder, a, b):
     return _chosen(builder, ">", _computed(builder, "sub", a, b), _computed(builder, "sub", b, a))
 
 
-def _reduction(build: Callable[[Any, Any, Any], Any]) -> Any:
-    @_operation(types.float32(FLOATS))
-    def reduce(builder, reduced):
-        width = LANES
-        while width > 1:  # halves are added: the same order on every processor
-            width //= 2
-            order = ir.Constant(_INTEGERS, [(k + width) % LANES for k in range(LANES)])
-            reduced = build(builder, reduced, builder.shuffle_vector(reduced, reduced, order))
-        return builder.extract_element(reduced, ir.Constant(ir.IntType(32), 0))
-
-    return reduce
-
-
-lane_sum = _reduction(lambda builder, a, b: builder.fadd(a, b))
-"""Return the sum of the lanes."""
-lane_min = _reduction(lambda builder, a, b: _chosen(builder, "<", a, b))
-"""Return the smallest of the lanes."""
-lane_max = _reduction(lambda builder, a, b: _chosen(builder, ">", a, b))
-"""Return the largest of the lanes."""
-
-
-@_operation(FLOATS(FLOATS))
-def exp_minus(builder, x):
-    """Return exp(-x) of x >= 0 in every lane, relative error below 1e-6; x above 80 counts as 80.
-
-    Same as :func:`depthcli.kernels.exponential.exp_minus`.
-    """
-
-    def constant(value: float) -> Any:
-        return ir.Constant(FLOATS.vector, [value] * LANES)
-
-    x = builder.fmul(_chosen(builder, "<", x, constant(80.0)), constant(-1.4426950408889634), flags=_FLAGS)
-    whole = builder.fptosi(x, _INTEGERS)
-    rest = builder.fsub(x, builder.sitofp(whole, FLOATS.vector), flags=_FLAGS)
-    t = builder.fmul(rest, constant(0.6931471805599453), flags=_FLAGS)
-    p = constant(1 / 5040)
-    for term in (1 / 720, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0):  # Taylor series of exp on (-0.694, 0]
-        p = builder.fadd(builder.fmul(p, t, flags=_FLAGS), constant(term), flags=_FLAGS)
-    bias, bits = (ir.Constant(_INTEGERS, [number] * LANES) for number in (127, 23))
-    return builder.fmul(p, builder.bitcast(builder.shl(builder.add(whole, bias), bits), FLOATS.vector), flags=_FLAGS)
+@_operation(types.float32(FLOATS))
+def lane_max(builder, value):
+    """Return the largest of the lanes."""
+    width = LANES
+    while width > 1:
+        width //= 2
+        order = ir.Constant(_INTEGERS, [(k + width) % LANES for k in range(LANES)])
+        value = _chosen(builder, ">", value, builder.shuffle_vector(value, value, order))
+    return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
 
 
 @helper

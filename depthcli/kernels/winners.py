@@ -108,16 +108,6 @@ def parabola_minimum(costs, d):
     return np.float32(d)
 
 
-@helper
-def partner_difference(disparity, x, right):
-    """Return ``|d - d_R|`` of a pixel in column ``x``, with ``d_R`` at its match; inf if its match is outside.
-
-    ``right`` (W,) are the right view's disparities in the pixel's row.
-    """
-    u = x - int(disparity + np.float32(0.5))
-    return abs(np.float32(disparity) - np.float32(right[u])) if u >= 0 else np.float32(np.inf)
-
-
 def right_at_match(values: NDArray[np.float32], right: NDArray[Any]) -> NDArray[np.float32]:
     """Return the right view's disparity at the match of every pixel, (H, W) float32; inf outside the right image.
 

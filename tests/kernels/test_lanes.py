@@ -13,39 +13,20 @@ def _compute(a, b, factor, out):
     lanes.store(out, 16, x - y)
     lanes.store(out, 32, x * lanes.splat(factor))
     lanes.store(out, 48, lanes.minimum(x, y))
-    lanes.store(out, 64, lanes.exp_minus(x * x))
     y += x
-    lanes.store(out, 80, y)
-    return lanes.lane_sum(x), lanes.lane_min(x)
+    lanes.store(out, 64, y)
 
 
 def test_lanes_compute_as_numpy_does():
     rng = np.random.default_rng(1)
     a, b = (rng.normal(0, 2, 17).astype(np.float32) for _ in range(2))
-    out = np.zeros(6 * lanes.LANES, np.float32)
-    total, smallest = _compute(a, b, np.float32(-1.5), out)
+    out = np.zeros(5 * lanes.LANES, np.float32)
+    _compute(a, b, np.float32(-1.5), out)
     x, y = a[1:], b[:16]
-    rows = out.reshape(6, 16)
+    rows = out.reshape(5, 16)
     for row, expected in zip(rows, (x + y, x - y, x * np.float32(-1.5), np.minimum(x, y)), strict=False):
         np.testing.assert_allclose(row, expected, rtol=1e-6)
-    np.testing.assert_allclose(rows[4], np.exp(-(x.astype(np.float64) ** 2)), rtol=2e-6)
-    np.testing.assert_array_equal(rows[5], rows[0])
-    assert smallest == x.min()
-    np.testing.assert_allclose(total, x.sum(), rtol=1e-5)
-
-
-def test_exponentials_of_large_numbers_are_as_good_as_zero():
-    a = np.linspace(0, 3e38, 17, dtype=np.float32)
-    a[:3] = (0, 0, 79)
-    out = np.zeros(96, np.float32)
-    _exponentials(a, out)
-    np.testing.assert_allclose(out[:2], (1, np.exp(-79)), rtol=2e-6)
-    assert (out[2:16] < 1e-34).all()
-
-
-@jit
-def _exponentials(a, out):
-    lanes.store(out, 0, lanes.exp_minus(lanes.load(a, 1)))
+    np.testing.assert_array_equal(rows[4], rows[0])
 
 
 @jit
@@ -60,7 +41,6 @@ def _compute_more(a, b, levels, out, bytes_out):
     lanes.store(bytes_out, 50, lanes.absolute_difference(lanes.load_like(share, levels, 1), share))
     lanes.store(bytes_out, 66, lanes.minimum(lanes.load_like(share, levels, 1), share))
     lanes.store(out, 48, lanes.lane_exp_minus_16(x * x))
-    lanes.store(bytes_out, 1, z + lanes.splat(np.float32(0.9)))
     return lanes.lane_max(x)
 
 
@@ -75,8 +55,7 @@ def test_more_operations_on_floats_and_bytes():
     expected = (a / b, np.maximum(a, b), np.where(a <= b, a + b, z))
     np.testing.assert_allclose(out[:3], expected, rtol=1e-6)
     np.testing.assert_allclose(out[3], np.exp(-16 * np.minimum(a * a, 1)), atol=1e-4)
-    np.testing.assert_array_equal(bytes_out[1:17], levels[1:])
-    assert bytes_out[0] == bytes_out[17] == 0
+    assert not bytes_out[:18].any()
     share = np.where(a <= b, z, 200)
     of_bytes = (np.minimum(z + share, 255), np.maximum(z - share, 0), np.abs(z - share), np.minimum(z, share))
     np.testing.assert_array_equal(bytes_out[18:].reshape(4, 16), of_bytes)

@@ -21,12 +21,10 @@ import numpy as np
 from depthcli.algorithms.dense_crf.permutohedral import BAND, Lattice, blur
 from depthcli.core import memory
 from depthcli.core.maps import Floats, Ints
-from depthcli.kernels.jit import helper, jit, run_bands, zeros
-from depthcli.kernels.lanes import LANES, exp_minus, lane_min, lane_sum, load, minimum, splat, store
+from depthcli.kernels.exponential import exp_minus
+from depthcli.kernels.jit import empty, helper, jit, run_bands, zeros
 
 _TILE = 16  # points that are processed together: their labels stay in the first-level cache
-_BLOCK = 4 * LANES  # labels that are in registers together
-_NEVER = np.float32(1e30)  # energy of the labels that pad the last vector
 
 
 class GaussianKernel(NamedTuple):
@@ -44,9 +42,6 @@ def mean_field(unary: Floats, kernels: Sequence[GaussianKernel], truncation: int
     the lattice.
     """
     count, labels = unary.shape
-    width = -(-labels // LANES) * LANES
-    if width > labels:
-        unary = np.pad(unary, ((0, 0), (0, width - labels)), constant_values=_NEVER)
     kernels = [kernel for kernel in kernels if kernel.weight > 0 and iterations]
     lattices = [Lattice.of(kernel.features) for kernel in kernels]
     # The lattices are concatenated for one pass over the points. ``slots`` are the C corners of all simplices of a
@@ -69,26 +64,18 @@ def mean_field(unary: Floats, kernels: Sequence[GaussianKernel], truncation: int
         bands.append(np.stack([lattice.first_slot[:-1], lattice.first_slot[1:]], axis=1) + slot)
         slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
         column += lattice.slots.shape[1]
-    partial, near, far = (_aligned(size * width) for size in (slot, row, row))
-    q: Floats = memory.empty((count, width), np.float32)
-    arrays = np.ascontiguousarray(unary).reshape(-1), q.reshape(-1), near
-    graph = slots.reshape(-1), np.concatenate(rows), weights.reshape(-1), corners, own
-    limits = min(truncation, labels), np.concatenate(bands, axis=1), width
+    partial, near, far = (memory.empty((size * labels,), np.float32) for size in (slot, row, row))
+    q: Floats = memory.empty((count, labels), np.float32)
+    arrays = np.ascontiguousarray(unary), q, near.reshape(-1, labels)
+    graph = slots, np.concatenate(rows), weights, own, min(truncation, labels), np.concatenate(bands, axis=1)
     last = iterations if corners else 0
     for step in range(last + 1):
         slot = row = 0
         for lattice in lattices if step else ():
-            blur(lattice, width, partial[slot * width :], near[row * width :], far[row * width :])
+            blur(lattice, labels, partial[slot * labels :], near[row * labels :], far[row * labels :])
             slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
-        run_bands(_update, len(bands[0]), *arrays, *graph, *limits, step > 0, step < last, partial)
-    return q if width == labels else np.ascontiguousarray(q[:, :labels])
-
-
-def _aligned(size: int) -> Floats:
-    # Return an uninitialized float32 array that starts at a cache line.
-    block: Floats = memory.empty((size + 16,), np.float32)
-    skip = -(block.ctypes.data // 4) % 16
-    return block[skip : skip + size]
+        run_bands(_update, len(bands[0]), *arrays, *graph, step > 0, step < last, partial.reshape(-1, labels))
+    return q
 
 
 @jit
@@ -103,136 +90,87 @@ def _join(begin, end, slots, weights, density, share, weight, offset, column, al
 
 
 @jit
-def _update(
-    begin, end, unary, q, near, slots, vertex, weights, corners, own, truncation, bands, width, receive, send, partial
-):
+def _update(begin, end, unary, q, near, slots, vertex, weights, own, truncation, bands, receive, send, partial):
     # Write the marginals of all points to ``q``, and spread them over the slots in ``partial`` if ``send``. They are
     # computed from the energies and, if ``receive``, the messages in ``near``; otherwise they are softmax(-unary).
-    count = own.size
-    # Rows of a tile follow each other, with zeros between them for windows that reach beyond the ends of rows.
+    count, labels = unary.shape
+    # Messages of a tile follow each other, with zeros between them for windows that reach beyond their ends.
     margin = truncation - 1
-    lead = -(-margin // LANES) * LANES
-    stride = -(-(width + margin) // LANES) * LANES
+    stride = labels + margin
     for b in range(begin, end):
         if send:
-            _clear(partial, bands, b, width)
-        # Windows read beyond the last row by their length.
-        message = zeros(_TILE * stride + 4 * lead + LANES, np.float32)
-        once, twice = np.zeros_like(message), np.zeros_like(message)
-        total = np.ones(_TILE, np.float32)
+            for k in range(0, bands.shape[1], 2):
+                partial[bands[b, k] : bands[b, k + 1]] = np.float32(0)
+        messages = zeros(_TILE * stride + 2 * margin, np.float32)
+        sums, scratch = np.zeros_like(messages), np.zeros_like(messages)
+        gains = twice = np.zeros_like(messages)
+        spare = np.zeros_like(messages)
+        powers = empty(labels, np.float32)
         stop = min(count, (b + 1) * BAND)
         for first in range(b * BAND, stop, _TILE):
-            size = min(_TILE, stop - first)
+            points = range(first, min(first + _TILE, stop))
             if receive:
-                _read(near, width, slots, vertex, weights, corners, own, q, first, size, message, lead, stride)
+                for n in points:
+                    at = margin + (n - first) * stride
+                    message = messages[at : at + labels]
+                    # The values of the point's vertices, without its own share.
+                    message[:] = np.float32(0)
+                    _add_scaled(q[n], -own[n], message)
+                    for c in range(slots.shape[1]):
+                        _add_scaled(near[vertex[slots[n, c]]], weights[n, c], message)
                 # min(|k|, T) is T minus a triangle, and a triangle is two windows of length T in succession. T times
                 # the sum of all messages is equal for all labels of a point, so it does not change its marginals.
-                _window(message, truncation, once)
-                _window(once, truncation, twice)
-            _softmax(unary, twice, lead - margin, stride, width, first, size, once, total, q)
-            if send:
-                _spread(once, stride, total, slots, weights, corners, first, size, width, partial)
+                once = _window(messages, truncation, sums, scratch)
+                gains = _window(once, truncation, twice, spare)
+            for n in points:
+                at = (n - first) * stride
+                total = _softmax(unary[n], gains[at : at + labels], powers, q[n])
+                if send:
+                    for c in range(slots.shape[1]):
+                        _add_scaled(powers, weights[n, c] / total, partial[slots[n, c]])
 
 
 @helper
-def _clear(partial, bands, b, width):
-    zero = splat(np.float32(0.0))
-    for k in range(0, bands.shape[1], 2):
-        for i in range(bands[b, k] * width, bands[b, k + 1] * width, LANES):
-            store(partial, i, zero)
+def _add_scaled(source, factor, target):
+    for k in range(target.size):
+        target[k] += factor * source[k]
 
 
 @helper
-def _spread(tile, stride, total, slots, weights, corners, first, size, width, partial):
-    # Add the marginals of points, the rows of a tile divided by their ``total``, to their slots.
-    for p in range(size):
-        factor = np.float32(1.0) / total[p]
-        begin, at = (first + p) * corners, p * stride
-        for k in range(0, width - _BLOCK + 1, _BLOCK):
-            v0, v1 = load(tile, at + k), load(tile, at + k + LANES)
-            v2, v3 = load(tile, at + k + 2 * LANES), load(tile, at + k + 3 * LANES)
-            for c in range(begin, begin + corners):
-                w, to = splat(factor * weights[c]), slots[c] * width + k
-                store(partial, to, load(partial, to) + w * v0)
-                store(partial, to + LANES, load(partial, to + LANES) + w * v1)
-                store(partial, to + 2 * LANES, load(partial, to + 2 * LANES) + w * v2)
-                store(partial, to + 3 * LANES, load(partial, to + 3 * LANES) + w * v3)
-        for k in range(width - width % _BLOCK, width, LANES):
-            value = load(tile, at + k)
-            for c in range(begin, begin + corners):
-                to = slots[c] * width + k
-                store(partial, to, load(partial, to) + splat(factor * weights[c]) * value)
-
-
-@helper
-def _read(near, width, slots, vertex, weights, corners, own, q, first, size, message, lead, stride):
-    # Write the messages of points to the rows of a tile: values of their vertices without the points' own share.
-    for p in range(size):
-        begin, at, to = (first + p) * corners, (first + p) * width, lead + p * stride
-        share = splat(-own[first + p])
-        for k in range(0, width - _BLOCK + 1, _BLOCK):
-            v0, v1 = share * load(q, at + k), share * load(q, at + k + LANES)
-            v2, v3 = share * load(q, at + k + 2 * LANES), share * load(q, at + k + 3 * LANES)
-            for c in range(begin, begin + corners):
-                w, source = splat(weights[c]), vertex[slots[c]] * width + k
-                v0 += w * load(near, source)
-                v1 += w * load(near, source + LANES)
-                v2 += w * load(near, source + 2 * LANES)
-                v3 += w * load(near, source + 3 * LANES)
-            store(message, to + k, v0)
-            store(message, to + k + LANES, v1)
-            store(message, to + k + 2 * LANES, v2)
-            store(message, to + k + 3 * LANES, v3)
-        for k in range(width - width % _BLOCK, width, LANES):
-            value = share * load(q, at + k)
-            for c in range(begin, begin + corners):
-                value += splat(weights[c]) * load(near, vertex[slots[c]] * width + k)
-            store(message, to + k, value)
-
-
-@helper
-def _window(source, length, target):
-    # target[i] = source[i] + ... + source[i + length - 1]. The window doubles for every further binary digit of its
-    # length, and grows by one if the digit is 1: more additions than a running sum, but on 16 labels at a time.
-    digit = 0
+def _window(source, length, result, scratch):
+    # Return ``result`` or ``scratch``, with source[i] + ... + source[i + length - 1] at every i up to size - length.
+    # The window doubles for every further binary digit of its length, and grows by one if the digit is 1: more
+    # additions than a running sum, but vectorized. Both arrays take turns, since a loop in place would not be.
+    digit, width, size = 0, 1, source.size
     while length >> (digit + 1):
         digit += 1
-    for i in range(0, source.size - LANES + 1, LANES):
-        store(target, i, load(source, i))
-    width = 1
+    for i in range(size):
+        result[i] = source[i]
     while digit > 0:
         digit -= 1
+        first, second = result[: size - width], result[width:]
+        for i in range(first.size):
+            scratch[i] = first[i] + second[i]
+        width *= 2
         if (length >> digit) & 1:
-            for i in range(0, source.size - 2 * width - LANES + 1, LANES):
-                store(target, i, load(target, i) + load(target, i + width) + load(source, i + 2 * width))
-            width = 2 * width + 1
-        else:
-            for i in range(0, source.size - width - LANES + 1, LANES):
-                store(target, i, load(target, i) + load(target, i + width))
-            width = 2 * width
+            further = source[width:]
+            for i in range(further.size):
+                scratch[i] += further[i]
+            width += 1
+        result, scratch = scratch, result
+    return result
 
 
 @helper
-def _softmax(unary, gain, begin, stride, width, first, size, tile, total, q):
-    # tile = exp(smallest energy - energy), with energy = unary - gain, row by row; total = sums of the rows;
-    # q = tile / total.
-    for p in range(size):
-        source, at = (first + p) * width, p * stride
-        low = splat(np.float32(3e38))
-        for k in range(0, width, LANES):
-            energy = load(unary, source + k) - load(gain, begin + at + k)
-            store(tile, at + k, energy)
-            low = minimum(low, energy)
-        total[p] = lane_min(low)
-    # A separate loop, so that the exponentials of a point do not wait for its smallest energy.
-    for p in range(size):
-        at, to = p * stride, (first + p) * width
-        low, sums = splat(total[p]), splat(np.float32(0.0))
-        for k in range(0, width, LANES):
-            power = exp_minus(load(tile, at + k) - low)
-            store(tile, at + k, power)
-            sums += power
-        total[p] = lane_sum(sums)
-        factors = splat(np.float32(1.0) / total[p])
-        for k in range(0, width, LANES):
-            store(q, to + k, factors * load(tile, at + k))
+def _softmax(unary, gain, powers, marginals):
+    # powers = exp(smallest energy - energy), with energy = unary - gain; marginals = powers / total. Return the total.
+    lowest, total = np.float32(3e38), np.float32(0)
+    for k in range(powers.size):
+        powers[k] = unary[k] - gain[k]
+        lowest = min(lowest, powers[k])
+    for k in range(powers.size):
+        powers[k] = exp_minus(powers[k] - lowest)
+        total += powers[k]
+    for k in range(powers.size):
+        marginals[k] = powers[k] / total
+    return total

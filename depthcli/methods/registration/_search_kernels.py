@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.filters import add
-from depthcli.kernels.exponential import attainable_likelihood, likelihood, peak_ratio
+from depthcli.kernels.exponential import attainable_likelihood, likelihood
 from depthcli.kernels.indices import indices
 from depthcli.kernels.jit import empty, helper, jit, zeros
 
@@ -331,7 +331,7 @@ def _peak_row(costs, curve, rows, out):
         lowest = np.float32(costs[int(best[i]), i])
         rival = second[i] if second[i] < far else highest[i]
         eps = np.float32(1e-3) * mean[i] if mean[i] > 0 else np.float32(1e-3)
-        out[i] = peak_ratio(lowest, rival, eps)
+        out[i] = (rival + eps) / (lowest + eps)
 
 
 @jit

@@ -6,8 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.jit import jit, run_bands, zeros
-from depthcli.kernels.winners import partner_difference
+from depthcli.kernels.jit import helper, jit, run_bands, zeros
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import RefinementContext
 
@@ -36,6 +35,14 @@ class LeftRightCheck(Refinement):
         return DisparityMap(values, status)
 
 
+@helper
+def _partner_difference(disparity, x, right):
+    # |d - d_R| of a pixel in column ``x``, with ``d_R`` at its match; inf if its match is outside. ``right`` (W,) are
+    # the right view's disparities in the pixel's row.
+    u = x - int(disparity + np.float32(0.5))
+    return abs(np.float32(disparity) - np.float32(right[u])) if u >= 0 else np.float32(np.inf)
+
+
 @jit
 def _check(begin, end, values, right, tolerance, n_disparities, out, status):
     occluded, mismatch = np.uint8(1), np.uint8(2)  # Status.OCCLUDED, Status.MISMATCH
@@ -49,7 +56,7 @@ def _check(begin, end, values, right, tolerance, n_disparities, out, status):
         for x in range(width):
             d = values[y, x]
             out[y, x] = d
-            if np.isnan(d) or partner_difference(d, x, right[y]) <= tolerance:
+            if np.isnan(d) or _partner_difference(d, x, right[y]) <= tolerance:
                 continue
             out[y, x] = np.nan
             status[y, x] |= mismatch if matched[x] else occluded
