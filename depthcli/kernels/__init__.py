@@ -19,6 +19,7 @@ To write a kernel:
 |---|---|
 | ``jit`` | the decorators, with the compiler options; new arrays; bands of rows on threads; the time of compilation |
 | ``cache`` | compiled kernels on disk |
+| ``indices`` | names for the positions in arrays |
 | ``winners`` | disparities of the smallest costs of both views |
 | ``color_steps`` | color differences between neighbors |
 | ``exponential`` | fast exponentials; terms of confidence measures |
