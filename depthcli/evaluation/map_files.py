@@ -67,15 +67,20 @@ class MapFiles:
         file = path.with_name(name if "." in name else f"{name}.pfm")
         return file if self._in_run_folder(path) and file.is_file() else None
 
-    def planes(self, path: Path) -> dict[str, Path]:
+    def confidences(self, path: Path) -> dict[str, Path]:
         """Return name -> file of the confidence maps in the folder of a map: ``confidence_<name>.pfm`` or ``.npy``.
 
-        ``confidence.pfm`` has the name ``confidence``; ``probability.pfm`` is ``PROBABILITY``.
+        ``confidence.pfm`` has the name ``confidence``.
         """
-        files, probability = dict[str, Path](), self.companion(path, PROBABILITY)
+        files = {}
         for file in sorted(path.parent.glob("confidence*")) if self._in_run_folder(path) else ():
             if file.suffix.lower() in (".pfm", ".npy") and re.match(r"confidence(_|$)", file.stem):
                 files[file.stem.removeprefix("confidence_")] = file
+        return files
+
+    def planes(self, path: Path) -> dict[str, Path]:
+        """Return name -> file of the confidence maps, and of ``PROBABILITY``, in the folder of a map."""
+        files, probability = self.confidences(path), self.companion(path, PROBABILITY)
         if PROBABILITY in files:  # of a network that chooses among maps: confidence_probability.pfm
             files[f"confidence_{PROBABILITY}"] = files.pop(PROBABILITY)
         return files | ({} if probability is None else {PROBABILITY: probability})

@@ -7,6 +7,7 @@ import pytest
 
 from depthcli.evaluation.curves import N_BINS, HiddenPixels, Reliability, hidden_pixels, reliability
 from depthcli.evaluation.map_files import DisparityFiles
+from depthcli.evaluation.protocols.registration import ExpectedErrorFiles
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import read_grey, write_png
 
@@ -41,6 +42,13 @@ def test_pooled_is_that_of_all_pixels_together():
     assert pooled.pixels == whole.pixels
     assert pooled.ece == pytest.approx(whole.ece)
     assert len(pooled.pixels) == N_BINS
+
+
+def test_the_confidence_volume_of_a_registration_is_a_plane(tmp_path: Path):
+    for name in ("expected_error.nii.gz", "confidence.nii.gz"):
+        (tmp_path / name).touch()
+    found = ExpectedErrorFiles(("expected_error",), (".nii.gz",)).planes(tmp_path / "expected_error.nii.gz")
+    assert found == {"confidence": tmp_path / "confidence.nii.gz"}
 
 
 def test_hidden_pixels_by_hand():
