@@ -1,7 +1,11 @@
 """Tables of errors as the scripts that train make them."""
 
 import numpy as np
+from _experiments import real_scenes
 from _training import table
+from train_confidence import training_scenes
+
+from tests.scenes import DATA
 
 
 def test_bounds_of_few_landmarks_are_closer_to_the_truth_by_bins_that_overlap():
@@ -19,3 +23,9 @@ def test_bounds_of_few_landmarks_are_closer_to_the_truth_by_bins_that_overlap():
     bias, overlapping = (np.mean(errors) for errors in off.values())
     assert bias < -0.15, "quantiles of a handful of errors are too small"
     assert abs(overlapping) < 0.1
+
+
+def test_the_networks_that_judge_maps_learn_from_no_validation_scene():
+    taught = {scene.name for scene in training_scenes(DATA)}
+    judged = [f"{folder}_{scene.name}_" for folder, scene in real_scenes(DATA, "validation")]
+    assert taught and not [name for name in taught if name.startswith(tuple(judged))]
