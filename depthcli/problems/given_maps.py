@@ -96,8 +96,8 @@ class MapConfidence:
         limit = threshold or 0.0
         known = self.probability[np.isfinite(self.values)]
         if share is not None and known.size:
-            place = min(max(math.ceil(share * known.size), 1), known.size)
-            limit = float(np.partition(known, known.size - place)[known.size - place])
+            count = min(math.ceil(share * known.size), known.size)
+            limit = float(np.partition(known, known.size - count)[known.size - count]) if count else np.inf
         return np.where(self.probability >= np.float32(limit), self.values, np.float32(np.nan))
 
     def save(self, folder: str | Path, share: float | None = None, threshold: float | None = None) -> None:

@@ -301,9 +301,11 @@ class Disparity(MapRepr, DisparityMap):
         """
         height, width = self.values.shape
         geometry = self.geometry
-        if focal is not None and baseline is not None:
+        if (focal is None) != (baseline is None) or (focal is not None and calibration is not None):
+            geometry = None
+        elif focal is not None and baseline is not None:
             x, y = principal_point or ((width - 1) / 2, (height - 1) / 2)
-            geometry = None if calibration else PairGeometry(Intrinsics(focal, focal, x, y), baseline, doffs)
+            geometry = PairGeometry(Intrinsics(focal, focal, x, y), baseline, doffs)
         elif calibration is not None:
             files = [calibration] if isinstance(calibration, str | Path) else calibration
             geometry = read_geometry([Path(file) for file in files], Reading(unit), (width, height))

@@ -215,8 +215,8 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
     def ends(self, scene: StereoScene | None = None) -> Ends:
         """Return the ends of the search range from the config or, by default, from the scene.
 
-        If neither has an upper end, it is "auto". For pairs that a calibration rectifies it is None, and both ends are
-        estimated from the pair.
+        If neither has an upper end, it is "auto". For pairs that a calibration rectifies it is None, and a lower end
+        that neither has is "auto": both are estimated from the pair.
         """
         config = self.config
         low, top = config.min_disparity, config.max_disparity
@@ -224,7 +224,9 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
             low = 0 if scene is None else scene.min_disparity
         if top is None and scene is not None:
             top = scene.max_disparity
-        return Ends(low, "auto" if top is None and config.calibration is None else top)
+        if top is None and config.calibration is not None:
+            return Ends("auto" if low == 0 and config.min_disparity is None else low, None)
+        return Ends(low, "auto" if top is None else top)
 
     def range_frames(self, scene: StereoScene) -> tuple[StereoScene, ...]:
         """Return the frames of the scene's sequence from which its range is estimated, or an empty tuple.
@@ -249,7 +251,8 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
     def settings(self, scene: StereoScene) -> dict[str, str]:
         """Return the search range, which may come from a file next to the images."""
         low, top = self.ends(scene)
-        return {"max_disparity": str(top), **({} if low == 0 else {"min_disparity": str(low)})}
+        by_default = low == 0 or (low == "auto" and self.config.min_disparity is None)
+        return {"max_disparity": str(top), **({} if by_default else {"min_disparity": str(low)})}
 
     def memory(self, scene: StereoScene) -> int | None:
         """Return an estimate from the left image's size, or None if the range is estimated from the pair."""

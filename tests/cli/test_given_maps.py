@@ -240,6 +240,7 @@ def test_python_speaks_of_keywords():
     refused(depthcli.ConfigError, found.kept, 0.5, 0.5)
     assert np.isfinite(found.kept(threshold=0.0)).all()
     assert np.count_nonzero(np.isfinite(found.kept(share=0.25))) >= 600
+    assert np.isnan(found.kept(share=0.0)).all()
 
 
 def test_a_map_outside_of_what_the_images_allow_is_found_wrong(two_scenes: Path):

@@ -232,12 +232,13 @@ def test_layouts_of_many_pairs_in_a_folder(tmp_path: Path):
     assert find(tmp_path / "cameras")["a"].right == tmp_path / "cameras/camera_right/a.png"
     put(tmp_path / "starts", "left_a.png", "right_a.png")
     assert find(tmp_path / "starts")["a"].right == tmp_path / "starts/right_a.png"
+    sequences = tmp_path / "image_0/sequences"  # the name above them says nothing
     for view in ("image_0", "image_1"):
-        put(tmp_path / "sequences/00" / view, "000000.png", "000001.png")
-    put(tmp_path / "sequences/01/image_2", "000000.png")
-    put(tmp_path / "sequences/01/image_3", "000000.png")
-    (tmp_path / "sequences/00/calib.txt").write_text("P0: 1\n")
-    scenes = find(tmp_path / "sequences")
+        put(sequences / "00" / view, "000000.png", "000001.png")
+    put(sequences / "01/image_2", "000000.png")
+    put(sequences / "01/image_3", "000000.png")
+    (sequences / "00/calib.txt").write_text("P0: 1\n")
+    scenes = find(sequences)
     assert sorted(scenes) == ["00/000000", "00/000001", "01/000000"]
     assert scenes["00/000001"].cameras == (0, 1)
     assert scenes["01/000000"].cameras == (2, 3)

@@ -350,6 +350,7 @@ def test_falling_things(tmp_path: Path):
 
 @pytest.mark.parametrize(("sides", "cameras"), [(("image_02", "image_03"), (2, 3)), (("image_00", "image_01"), (0, 1))])
 def test_kitti_raw(tmp_path: Path, sides: tuple[str, str], cameras: tuple[int, int]):
+    tmp_path = tmp_path / "image_00"  # which says nothing of the cameras
     drive = tmp_path / "2011_09_26" / "2011_09_26_drive_0001_sync"
     images(*(drive / side / "data" / f"000000000{k}.png" for side in sides for k in range(2)))
     rows = "721.5 0 609.6 {} 0 721.5 172.9 0 0 0 1 0"

@@ -50,7 +50,8 @@ def test_a_result_describes_itself(pair: Images):
     depth = disparity.to_depth(focal=80.0, baseline=0.2, mask=disparity.measured)
     assert np.array_equal(depth.valid, disparity.measured)
     assert len(depth.to_points()) == np.count_nonzero(disparity.measured)
-    refused(depthcli.ConfigError, disparity.to_depth, focal=80.0)
+    for numbers in ({"focal": 80.0}, {"baseline": 0.2}, {"calibration": "calib.txt", "focal": 80.0, "baseline": 0.2}):
+        refused(depthcli.ConfigError, disparity.to_depth, **numbers)
 
 
 def test_the_same_image_in_other_forms(pair: Images):

@@ -163,6 +163,13 @@ def _driving_stereo(found: Found) -> dict[str, Any]:
     return {"disparity_scale": scale, "max_disparity": int(65535 / scale)}  # the largest that a file can encode
 
 
+def _grey_cameras(found: Found) -> dict[str, Any]:
+    """The numbers of KITTI's grey cameras if a view is theirs; those of the color cameras are the default."""
+    view = found.files.get("left") or found.files["right"]
+    folder = view.parent.parent if view.parent.name == "data" else view.parent
+    return {"cameras": (0, 1)} if folder.name in ("image_0", "image_1", "image_00", "image_01") else {}
+
+
 def _pairs(found: Found) -> dict[str, Any] | None:
     """Return the scene fields of a pair, or None for names of maps and masks."""
     return None if found.keys["name"].startswith(("disp", "mask", "confidence")) else _meta(found)
@@ -265,7 +272,7 @@ PAIRS = Layouts.of(
         title="kitti-2012", protocol="kitti_2012", values=_KITTI_VALUES, single=True,
         about="`colored_0`/`colored_1` or `image_0`/`image_1`, `disp_noc`, `disp_occ`, `calib`",
         files=_variants(_KITTI_FILES, ("colored_0", "colored_1"), ("image_0", "image_1")),
-        facts=lambda found: {"cameras": (0, 1)} if found.files["left"].parent.name == "image_0" else {},
+        facts=_grey_cameras,
     ),
     LayoutRow(
         title="kitti-2015", protocol="kitti_2015", values=_KITTI_VALUES, single=True,
@@ -280,7 +287,7 @@ PAIRS = Layouts.of(
         files=_variants({"left": "<0>/{number}.png", "right": "<1>/{number}.png", "calibration": "calib.txt",
                          "name": "{number}"}, ("image_2", "image_3"), ("image_0", "image_1")),
         values={"max_disparity": _KITTI_RANGE},
-        facts=lambda found: {"cameras": (0, 1)} if "image_0" in str(found.files.get("left", "")) else {},
+        facts=_grey_cameras,
     ),
     LayoutRow(
         title="kitti-raw", protocol="kitti_2015", either=True, values={"max_disparity": _KITTI_RANGE},
@@ -289,7 +296,7 @@ PAIRS = Layouts.of(
         files=_variants({"left": "<0>/data/{number}.png", "right": "<1>/data/{number}.png", "name": "<0>/{number}",
                          "calibration": "calib_cam_to_cam.txt|../calib_cam_to_cam.txt"},
                         ("image_02", "image_03"), ("image_00", "image_01")),
-        facts=lambda found: {"cameras": (0, 1)} if "image_00" in str(found.files.get("left", "")) else {},
+        facts=_grey_cameras,
     ),
     LayoutRow(
         title="tartanair", protocol="scene_flow", needs=("image_left", "image_right"),

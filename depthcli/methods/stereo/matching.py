@@ -85,7 +85,7 @@ def host_bytes(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int,
     ``BASE_BYTES``, the memory that the process takes before, is not included.
     """
     need, has_tiles = _needs(matcher, shape, max_disparity, limits)
-    return min(need, limits.tile_memory - BASE_BYTES) if has_tiles else need
+    return limits.tile_memory - BASE_BYTES if has_tiles and need > limits.tile_memory else need
 
 
 def _needs(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> tuple[int, bool]:

@@ -227,7 +227,6 @@ def complete_range(
         low, top = found.low, found.top
         if max_disparity is None:
             low, max_disparity = found.suggested.min_disparity, found.suggested.max_disparity
-            min_disparity = min_disparity or "auto"
         else:
             columns = {"range_matches": found.n_matches, "range_low": low, "range_top": top}
         min_disparity = low if min_disparity == "auto" else min_disparity

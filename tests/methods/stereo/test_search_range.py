@@ -13,8 +13,16 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.io.formats.disparity import read_disparity, read_pfm, read_status, write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.methods.stereo.pipeline.local import Local
-from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, matched_beyond, matched_range
+from depthcli.methods.stereo.search_range import (
+    MatchedRange,
+    SearchRange,
+    complete_range,
+    matched_beyond,
+    matched_range,
+)
 from depthcli.methods.stereo.volume import StereoResult
+from depthcli.problems.inputs import load_config
+from depthcli.problems.stereo import Stereo, StereoConfig
 from depthcli.simulate.stereo_scenes import make_scene
 from tests.command_line import rows, run
 from tests.golden import refused
@@ -86,6 +94,15 @@ def test_a_converging_or_cropped_pair(shift: int, preset: str, tmp_path: Path, c
     row = json.loads((tmp_path / "run/report.json").read_text())["scenes"][0]
     assert (row["min_disparity"], row["max_disparity"]) == (shift - 5, shift + 6)
     assert err == ""  # quiet
+
+
+@pytest.mark.parametrize(("given", "low"), [(None, -10), (0, 0), (-3, -3), ("auto", -10)])
+def test_a_lower_end_is_only_estimated_if_it_is_not_given(tmp_path: Path, given: int | str | None, low: int):
+    """If a calibration rectifies the pairs and there is no upper end."""
+    config = load_config(StereoConfig, "fast", None, min_disparity=given, calibration=(tmp_path / "rig.yaml",))
+    ends = Stereo(config).ends()
+    search, _ = complete_range(*ends, moved_pair(4), MatchedRange(-10, 50, 99))
+    assert search == SearchRange(low, 50)
 
 
 def test_what_the_report_and_the_warnings_say(tmp_path: Path, capsys, tool):

@@ -73,7 +73,10 @@ class Sequence(SequencePipeline, Dsrm):
         motion, view, still = self._followed(frame, measurement, state)
         clock.start("model")
         if state.age + 1 >= self.max_age or 1 - still.mean() > self.max_changed:
-            return self._start(frame)
+            result, state = self._start(frame)
+            clock.include(result.seconds)
+            result.seconds = clock.seconds
+            return result, state
         previous, layers = state.disparity, state.layers
         if view is not None:
             still &= view.certain
