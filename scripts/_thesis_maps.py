@@ -16,7 +16,7 @@ from depthcli.evaluation.curves import reliability, sparsification
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.methods.given_maps import judge
 from depthcli.methods.given_maps.fusion import fuse
-from depthcli.problems.given_maps import networks
+from depthcli.problems.map_checks import networks
 
 METHODS = ("opencv-sgbm", "segments", "ad-census", "fast", "accurate")
 FUSED = ("opencv-sgbm", "fast", "ad-census", "segments")

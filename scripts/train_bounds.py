@@ -39,7 +39,7 @@ from depthcli.methods.given_maps import (
     without_gaps,
 )
 from depthcli.methods.given_maps._planes import ONE_VIEW, Evidence
-from depthcli.problems.given_maps import networks
+from depthcli.problems.map_checks import networks
 
 TAUGHT = ("fast", "accurate", "opencv-sgbm")
 METHODS = (*TAUGHT, "segments")  # the last one only checks the table

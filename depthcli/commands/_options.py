@@ -121,6 +121,17 @@ def parse_bytes(text: str, option: str = "--max-memory") -> int:
     return size
 
 
+def parse_disparity(text: str | None) -> int | None:
+    """Return the largest disparity of ``--max-disparity``, or None. Raise ConfigError if it is no valid number."""
+    from depthcli.methods.stereo.search_range import MAX_DISPARITY
+
+    if text is None:
+        return None
+    if not text.isdigit() or not 1 <= int(text) <= MAX_DISPARITY:
+        raise ConfigError(f"--max-disparity: expected a whole number from 1 to {MAX_DISPARITY} (got {text!r})")
+    return int(text)
+
+
 @dataclass(frozen=True, kw_only=True)
 class SceneOptions:
     """Options that select scenes; subclasses add options for the files of a single scene."""
@@ -277,10 +288,7 @@ def camera_of(option: str, text: str) -> tuple[float, float, float, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(Printing):
-    """Options for computation, output and reports.
-
-    ``evaluate`` and ``html`` are options only in subclasses that declare them, see :class:`ScoredRunOptions`.
-    """
+    """Options for computation, output and reports."""
 
     output: Annotated[
         Path,
@@ -305,18 +313,14 @@ class RunOptions(Printing):
     dry_run: bool = option(False, "--dry-run", help="Print the names of the scenes and, on stderr, the plan.")
     flag: FlagOption = None
     fail_flagged: FailFlaggedOption = False
-    evaluate: bool = False
-    html: bool = False
 
     def __post_init__(self) -> None:
         """Raise ConfigError for invalid or contradictory options, before any file is read."""
         if self.output == NOWHERE and not (self.dry_run or self.list_scenes):
             raise ConfigError("give --output DIR, the folder to write into")
-        if self.execution.shard is not None and (self.evaluate or self.html):
-            raise ConfigError("--evaluate needs all scenes: run depthcli evaluate when all shards are done")
         if self.scheduler is not None and self.jobs not in ("auto", "1"):
             raise ConfigError("--jobs and --scheduler exclude each other: a cluster has as many workers as it has")
-        _ = self.conditions  # raises ConfigError
+        _ = self.execution, self.conditions  # raise ConfigError
 
     @cached_property
     def conditions(self) -> list[Condition]:
@@ -346,6 +350,12 @@ class ScoredRunOptions(RunOptions):
 
     evaluate: bool = option(False, "--evaluate", help="Compare the results with the input's ground truth.")
     html: HtmlOption = False
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError as for any run, and if a part of the scenes would be evaluated."""
+        super().__post_init__()
+        if self.execution.shard is not None and (self.evaluate or self.html):
+            raise ConfigError("--evaluate needs all scenes: run depthcli evaluate when all shards are done")
 
 
 @dataclass(frozen=True, kw_only=True)

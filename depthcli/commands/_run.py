@@ -14,6 +14,7 @@ from depthcli.commands._options import (
     PairOptions,
     RunOptions,
     SceneOptions,
+    ScoredRunOptions,
     TableOptions,
 )
 from depthcli.core.config_file import config_with_options, dump_config
@@ -25,7 +26,6 @@ from depthcli.io.formats.disparity import write_codes
 from depthcli.io.scenes import find
 from depthcli.io.scenes.places import local
 from depthcli.io.scenes.rows import Layouts
-from depthcli.problems.given_maps import GivenMaps, with_maps
 from depthcli.problems.problem import SceneJob, check_keep
 from depthcli.run.flags import Flags, flag_rows
 from depthcli.run.folder import EVALUATION, LEGEND_FILE, check_folder, refusal
@@ -37,6 +37,7 @@ from depthcli.show.table import Row, aligned, run_table, to_json
 
 if TYPE_CHECKING:
     from depthcli.evaluation.comparison import EvaluationReport
+    from depthcli.problems.given_maps import GivenMaps
 
 DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
 """The status of a scene in a plan."""
@@ -46,7 +47,7 @@ def run_problem(
     command: str,
     config: str,
     source: SceneOptions,
-    run: RunOptions,
+    run: ScoredRunOptions,
     settings: Sequence[str] | None,
     adapted: Callable[[list[Any]], list[Any]] = list,
     **options: object,
@@ -56,8 +57,8 @@ def run_problem(
     ``options`` are config key -> value of the option with that name, or None if it is not given. ``adapted`` applies
     further options to the scenes.
     """
-    job, scenes = job_and_scenes(command, config, source, run, settings, adapted, **options)
-    return run_job(job, scenes, run, source)
+    job, scenes = job_and_scenes(command, config, source, run, settings, adapted, run.evaluate, **options)
+    return run_job(job, scenes, run, source, run.evaluate, run.html)
 
 
 def job_and_scenes(
@@ -67,23 +68,28 @@ def job_and_scenes(
     run: RunOptions,
     settings: Sequence[str | tuple[str, str]] | None,
     adapted: Callable[[list[Any]], list[Any]] = list,
+    with_truth: bool = False,
     **options: object,
 ) -> tuple[SceneJob[Any], Sequence[Any]]:
-    """Return a command's problem with its config, and its scenes; parameters are as for ``run_problem``."""
+    """Return a command's problem with its config, and its scenes.
+
+    ``with_truth`` is as for ``find_scenes``, the other parameters are as for ``run_problem``.
+    """
     problem = problems.load(command)
     job = problem.ready(config_with_options(problem.model, config, settings, options))
-    scenes = adapted(find_scenes(problem.layouts, source, run))
+    scenes = adapted(find_scenes(problem.layouts, source, run, with_truth))
     return job, job.units(scenes, run.reporter)
 
 
-def find_scenes(layouts: Layouts[SceneT], source: SceneOptions, run: RunOptions) -> list[SceneT]:
+def find_scenes(
+    layouts: Layouts[SceneT], source: SceneOptions, run: RunOptions, with_truth: bool = False
+) -> list[SceneT]:
     """Return the scenes that ``--input`` or the options for a single scene name.
 
-    ``layouts`` are the layouts of the command's kind of scene: ``PAIRS``, ``FRAMES`` or ``VOLUMES``. Raise the errors
-    of :func:`depthcli.io.scenes.find.find_scenes`.
+    ``layouts`` are the layouts of the command's kind of scene: ``PAIRS``, ``FRAMES`` or ``VOLUMES``. With
+    ``with_truth``, ground truth is needed. Raise the errors of :func:`depthcli.io.scenes.find.find_scenes`.
     """
     patterns = source.scenes or ["*"]
-    with_truth = bool(run.evaluate)
     return find.find_scenes(layouts, vars(source), source.single_files, patterns, with_truth, run.reporter.info)
 
 
@@ -91,15 +97,18 @@ def run_maps(
     job: GivenMaps[Any],
     pairs: PairOptions,
     coding: CodingOptions,
-    run: RunOptions,
+    run: ScoredRunOptions,
     maps: Sequence[str],
     witnesses: Sequence[str] = (),
     right_maps: str | None = None,
 ) -> int:
     """Solve the problem for the pairs that the options name, with their maps, and return the exit code."""
-    scenes, place = find_scenes(job.layouts, pairs, run), pairs.input and local(pairs.input)
+    from depthcli.problems.given_runs import with_maps
+
+    scenes, place = find_scenes(job.layouts, pairs, run, run.evaluate), pairs.input and local(pairs.input)
     coded = coding.pattern, coding.scale, coding.invalid
-    return run_job(job, with_maps(scenes, place, coded, run.reporter, maps, witnesses, right_maps), run, pairs)
+    found = with_maps(scenes, place, coded, run.reporter, maps, witnesses, right_maps)
+    return run_job(job, found, run, pairs, run.evaluate, run.html)
 
 
 def run_job(
@@ -107,12 +116,16 @@ def run_job(
     scenes: Sequence[SceneT],
     options: RunOptions,
     source: SceneOptions | None = None,
+    evaluate: bool = False,
+    html: bool = False,
 ) -> int:
     """Compute scenes into the run folder, evaluate if requested, print table or JSON, and return the exit code.
 
     Parameters
     ----------
     source : the options that name the scenes; their folder may have ground truth
+    evaluate : whether to compare the results with the ground truth
+    html : whether to compare the results with the ground truth, if there is any, and to write the page
     """
     reporter, how = options.reporter, options.execution
     check_keep(job, how.keep)
@@ -120,37 +133,54 @@ def run_job(
         _print_plan(job, scenes, options)
         return 0
     rows, elsewhere = run_scenes(job, scenes, options.output, how, reporter)
+    failed = [row for row in rows if row["status"] == "failed"]
     for line in job.notes(scenes, rows):
         reporter.info(f"warning: {line}")
     missing = job.problems(rows)
     for line in missing:
         reporter.error(line)
-    failed = [row for row in rows if row["status"] == "failed"]
     if job.shown.palette is not None and len(failed) < len(rows):
         write_codes(options.output / LEGEND_FILE, job.shown.palette, job.shown.legend)
-    evaluation = None
-    if (options.evaluate or options.html) and not elsewhere:
-        from depthcli.commands._scores import evaluated
-
-        evaluation = evaluated(job, scenes, rows, options, source)
-    if evaluation is None:
-        flags = flag_rows(options.conditions, rows, reporter) if options.conditions else Flags()
-    else:
-        flags = evaluation.flags
-    _print_results(job, rows, options, evaluation, flags)
     total = len(scenes) if how.shard is None else len(rows)
-    reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {options.output}")
-    if evaluation is not None:
-        from depthcli.commands._scores import print_place
+    done = f"{len(rows) - len(failed)} of {total} scenes done, in {options.output}"
+    if (evaluate or html) and not elsewhere:
+        evaluation = _evaluate(job, scenes, rows, done, options, source, html)
+        flags, incomplete = evaluation.flags, evaluation.incomplete
+    else:
+        flags, incomplete = flag_rows(options.conditions, rows, reporter) if options.conditions else Flags(), False
+        _print_results(job, rows, done, options, None, flags)
+        if evaluate or html:
+            reporter.info("the process that ends last evaluates the run")
+    all_rows = how.shard is None and not elsewhere
+    return _exit_code(failed, incomplete or bool(missing), flags, all_rows, options)
 
-        print_place(evaluation, options.output / EVALUATION, options.html, reporter)
-    elif options.evaluate or options.html:
-        reporter.info("the process that ends last evaluates the run")
-    if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
-        return 1
-    if failed or missing or (evaluation is not None and evaluation.incomplete):
+
+def _evaluate(
+    job: SceneJob[SceneT],
+    scenes: Sequence[SceneT],
+    rows: Sequence[Row],
+    done: str,
+    options: RunOptions,
+    source: SceneOptions | None,
+    html: bool,
+) -> EvaluationReport:
+    """Compare a run with the ground truth, print its tables, and where the report is; ``html`` also writes the page."""
+    from depthcli.commands._scores import evaluated, print_place
+
+    evaluation = evaluated(job, scenes, rows, options, source, html)
+    _print_results(job, rows, done, options, evaluation, evaluation.flags)
+    print_place(evaluation, options.output / EVALUATION, html, options.reporter)
+    return evaluation
+
+
+def _exit_code(failed: Sequence[Row], incomplete: bool, flags: Flags, all_rows: bool, options: RunOptions) -> int:
+    """Return the exit code of a run; ``all_rows`` is false while other processes compute some."""
+    if failed:
+        causes = failed[-1:] if options.fail_fast else failed
+        return 1 if any(row["error"].startswith(BUG) for row in causes) else SOME_FAILED
+    if incomplete:
         return SOME_FAILED
-    return flags.exit_code(all_rows=how.shard is None and not elsewhere) if options.fail_flagged else 0
+    return flags.exit_code(all_rows) if options.fail_flagged else 0
 
 
 def _print_plan(job: SceneJob[SceneT], scenes: Sequence[SceneT], options: RunOptions) -> None:
@@ -216,20 +246,26 @@ def _plan_text(plan: Row, config: BaseModel | Mapping[str, object]) -> str:
 
 
 def _print_results(
-    job: SceneJob[Any], rows: Sequence[Row], options: RunOptions, evaluation: EvaluationReport | None, flags: Flags
+    job: SceneJob[Any],
+    rows: Sequence[Row],
+    done: str,
+    options: RunOptions,
+    evaluation: EvaluationReport | None,
+    flags: Flags,
 ) -> None:
-    """Print the report as JSON, or the tables of the evaluation or run with the flagged rows."""
+    """Print the report as JSON, or tables of the evaluation or run and the flagged rows; then the line ``done``."""
     reporter = options.reporter
-    evaluation = evaluation if evaluation is not None and evaluation.results else None
+    scored = evaluation if evaluation is not None and evaluation.results else None
     if options.json:
         document = report_document(job.command, rows) | (flags.to_dict() if options.conditions else {})
-        reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
-        return
-    if evaluation is not None:
-        from depthcli.commands._scores import print_tables
+        reporter.data(to_json(document if scored is None else document | {"evaluation": scored.to_dict()}))
+    else:
+        if scored is not None:
+            from depthcli.commands._scores import print_tables
 
-        print_tables(evaluation, reporter, TableOptions(), options.quiet)
-    elif not options.quiet:
-        reporter.data(run_table(rows, job.shown.columns))
-    if options.conditions and not options.quiet:
-        reporter.data(flags.text())
+            print_tables(scored, reporter, TableOptions(), options.quiet)
+        elif not options.quiet:
+            reporter.data(run_table(rows, job.shown.columns))
+        if options.conditions and not options.quiet:
+            reporter.data(flags.text())
+    reporter.info(done)

@@ -35,20 +35,21 @@ def evaluated(
     rows: Sequence[Row],
     options: RunOptions,
     source: SceneOptions | None,
+    html: bool,
 ) -> EvaluationReport:
-    """Compare scenes with their ground truth, and write the page; it also shows scenes without ground truth."""
+    """Compare scenes with their ground truth; ``html`` writes the page, which shows scenes without truth, too."""
     reporter, conditions = options.reporter, options.conditions
     output, truth = options.output / EVALUATION, source.input if source is not None else None
     in_folder = truth is not None and os.path.isdir(local(truth))  # pairs of a table have no ground truth
     scored = [scene for scene in scenes if in_folder and scene.has_truth]
     others = [scene for scene in scenes if not (in_folder and scene.has_truth)]
-    shown = _without_truth(job, others, rows, options.output) if options.html and others else None
+    shown = _without_truth(job, others, rows, options.output) if html and others else None
     if scored and truth is not None:
         judged = [scene for scene in job.truth_scenes(scenes) if scene.problem or scene.has_truth]
-        by_name, views = {str(row["scene"]): row for row in rows}, viewers(reporter, output, options.html, run=shown)
+        by_name, views = {str(row["scene"]): row for row in rows}, viewers(reporter, output, html, run=shown)
         choices = Choices(rows=by_name, conditions=conditions, viewers=views, reporter=reporter)
         return evaluate_runs([options.output], judged, local(truth), output, choices)
-    shows = ": the page shows the maps without scores" if options.html else ", nothing to compare with"
+    shows = ": the page shows the maps without scores" if html else ", nothing to compare with"
     reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
     flags = flag_rows(conditions, rows, reporter) if conditions else Flags()
     runs = tuple(run_names([options.output]))

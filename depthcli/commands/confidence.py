@@ -23,6 +23,7 @@ from depthcli.commands._options import (
     PairOptions,
     ScoredRunOptions,
     WithinOption,
+    parse_disparity,
 )
 from depthcli.core.errors import ConfigError
 
@@ -53,14 +54,14 @@ def confidence(
     """Judge the map of every scene; ``--share`` and ``--threshold`` remove unreliable pixels from disp_left."""
     from depthcli.commands._run import run_maps
     from depthcli.io.formats.plain_text import is_number
-    from depthcli.problems.given_maps import Confidence, ConfidenceOptions, largest, measures_named
+    from depthcli.problems.given_maps import Confidence, ConfidenceOptions, measures_named
 
     if is_number(run.keep or ""):
         raise ConfigError(f"--keep takes names of files; the share of the surest pixels is --share {run.keep}")
     if share is not None and threshold is not None:
         raise ConfigError("--share and --threshold exclude each other")
     options = ConfidenceOptions(
-        max_disparity=largest(max_disparity), bound={"level": level, "within": within}, keep=share,
+        max_disparity=parse_disparity(max_disparity), bound={"level": level, "within": within}, keep=share,
         threshold=threshold, measures=measures_named(measure or [], "--measure"),
     )  # fmt: skip
     return run_maps(Confidence(options), pairs, coding, run, [maps], witness or [], right_maps)

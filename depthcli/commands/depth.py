@@ -25,6 +25,12 @@ class DepthRunOptions(RunOptions):
 
     html: HtmlOption = False
 
+    def __post_init__(self) -> None:
+        """Raise ConfigError as for any run, and if a part of the scenes would be on the page."""
+        super().__post_init__()
+        if self.execution.shard is not None and self.html:
+            raise ConfigError("--html needs all scenes: run depthcli depth with it when all shards are done")
+
 
 def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     """Compute the depth of every map of the run; return the exit code."""
@@ -57,4 +63,4 @@ def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     if (place := maps.input) is not None:
         pairs = partial(scenes_at, place, PAIRS, maps.layout, ["*"], run.reporter.info)
     scenes = find_maps(maps.run, maps.scenes or ["*"], maps.left, files[0] if files else None, bool(given), pairs)
-    return run_job(job, scenes, run)
+    return run_job(job, scenes, run, html=run.html)

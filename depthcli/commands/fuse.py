@@ -23,6 +23,7 @@ from depthcli.commands._options import (
     RangeOptions,
     ScoredRunOptions,
     SetOption,
+    parse_disparity,
 )
 from depthcli.core.errors import ConfigError
 
@@ -48,7 +49,7 @@ def fuse(
             raise ConfigError("--maps goes with depthcli fuse maps, not with a config")
         return run_problem("fuse", config, pairs, run, set, bound=bounds.promise(), **pairs.settings())
     from depthcli.methods.given_maps.fusion import MAX_MAPS
-    from depthcli.problems.given_maps import FuseMaps, FuseMapsOptions, largest
+    from depthcli.problems.given_maps import FuseMaps, FuseMapsOptions
 
     if not 1 <= len(maps or ()) <= MAX_MAPS:
         raise ConfigError(f"--maps: give 1 to {MAX_MAPS} runs or maps (got {len(maps or ())})")
@@ -57,6 +58,9 @@ def fuse(
         name = (unused or ["set"])[0].rpartition(".")[2].replace("_", "-")
         raise ConfigError(f"--{name} does not go with fuse maps")
     options = FuseMapsOptions(
-        max_disparity=largest(pairs.max_disparity), surfaces=surfaces, within=bounds.within, bound=bounds.promise()
+        max_disparity=parse_disparity(pairs.max_disparity),
+        surfaces=surfaces,
+        within=bounds.within,
+        bound=bounds.promise(),
     )
     return run_maps(FuseMaps(options), pairs, coding, run, maps or [])

@@ -9,7 +9,8 @@ of the same problem from arrays.
 | ``inputs`` | configs from presets and overrides; images, maps and volumes from arrays |
 | ``results``, ``rectified``, ``frames`` | results and their files; rectified pairs; refined sensor depth |
 | ``stereo``, ``fusion`` | disparity maps of pairs |
-| ``given_maps`` | confidence and fusion of maps from other programs |
+| ``map_checks`` | warnings about a pair's map, and its error bound |
+| ``given_maps``, ``given_runs`` | confidence and fusion of maps from other programs; where these maps are |
 | ``kinect``, ``transparent`` | refined depth of a sensor |
 | ``registration`` | expected error of a registration |
 | ``evaluation`` | scores of an estimate |

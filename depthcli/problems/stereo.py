@@ -22,14 +22,12 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status, without_smoothed
 from depthcli.core.method import RootConfig, parts_of
-from depthcli.core.text import show_bytes
 from depthcli.device import DeviceError
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import pair_of
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair, view_size
-from depthcli.methods.given_maps import bounds, peak_bytes
 from depthcli.methods.stereo.matching import Limits, TileMode, device_table, host_bytes, match
 from depthcli.methods.stereo.networks import Network, network_device, networks_in
 from depthcli.methods.stereo.pipeline import Pipeline
@@ -39,12 +37,10 @@ from depthcli.methods.stereo.search_range import (
     MatchedRange,
     SearchRange,
     complete_range,
-    matched_beyond,
 )
 from depthcli.methods.stereo.stages import PairMatcher
-from depthcli.methods.stereo.volume import StereoResult
-from depthcli.problems.given_maps import networks
 from depthcli.problems.inputs import Overrides, as_image, load_config, paired
+from depthcli.problems.map_checks import doubts, with_bound
 from depthcli.problems.problem import MAP_FILES, Inputs, Problem, Shown
 from depthcli.problems.rectified import (
     METRIC_COLUMNS,
@@ -56,14 +52,10 @@ from depthcli.problems.rectified import (
     sequence_range,
 )
 from depthcli.problems.results import Disparity
-from depthcli.run.job import available_memory, check_memory
+from depthcli.run.job import available_memory
 from depthcli.show.table import SIZE, Row, median, number, percent, share, size_of
 from depthcli.show.view import STATUS_PALETTE
 
-_MIN_MEASURED_SHARE = 0.5  # share of measured pixels below which a map has a warning
-# Shares of measured pixels at an end of the search range. Above the first, a map has a warning. A third of the ranges
-# that end at 3/4 of the largest disparity stay below it; above the second, the pair's own range is estimated.
-_MAX_SHARE_AT_END, _MIN_SHARE_AT_END = 0.05, 0.01
 _REASONS = [int(bit) for bit in (Status.OCCLUDED, Status.MISMATCH, Status.OUT_OF_RANGE, Status.NO_DATA)]
 
 End = Annotated[int, Field(ge=-MAX_DISPARITY, le=MAX_DISPARITY)] | Literal["auto"] | None
@@ -323,7 +315,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         result = search.restore(matched, pair.shape[1])
         clock.include(result.seconds)
         values, status, seconds = result.disparity.values, result.disparity.status, dict(clock.seconds)
-        warnings = _warnings(pair, search, key_points, result, limits)
+        warnings = doubts(pair, search, key_points, result, limits)
         if requested > widest:
             text = f"no pixel of images {pair.shape[1]} wide has a disparity above {widest}"
             warnings = (f"{text}: not searched up to {requested}", *warnings)
@@ -362,8 +354,10 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
     def notes(self, scenes: Sequence[StereoScene], rows: Sequence[Row]) -> list[str]:
         """Return a line about scenes whose search range neither the config nor their files give."""
         unknown = {scene.name for scene in scenes if not scene.problem and scene.max_disparity is None}
+        if not unknown or self.config.max_disparity is not None or self.config.calibration is not None:
+            return []
         ends = [row["max_disparity"] for row in rows if row["scene"] in unknown and "max_disparity" in row]
-        if self.config.max_disparity is not None or self.config.calibration is not None or not ends:
+        if not ends:
             return []
         which = "the search range is" if len(ends) == 1 else f"the search ranges of {len(ends)} scenes are"
         span = f"{ends[0]}" if len(set(ends)) == 1 else f"{min(ends)} to {max(ends)}"
@@ -412,70 +406,6 @@ class Stereo(Pairs[StereoConfig]):
             if type(pipeline) not in device_table():
                 where = f"cpu: {pipeline.method_name()} has no kernels for {where}"
         return super().row(inputs, result) | ({} if where == "cpu" else {"device": where})
-
-
-def _warnings(
-    pair: StereoPair, search: SearchRange, key_points: Mapping[str, int], result: StereoResult, limits: Limits
-) -> tuple[str, ...]:
-    """Return one line for each doubtful property of a map."""
-    found, warnings = result.disparity, []
-    if pair.top < np.iinfo(pair.left.dtype).max:
-        warnings.append(f"samples of {pair.bits} bits in {pair.left.dtype} files; scaled accordingly")
-    if flat := [name for name, image in (("left", pair.left), ("right", pair.right)) if image.min() == image.max()]:
-        warnings.append(f"the {' and the '.join(flat)} image has one level alone: nothing can be matched")
-    elif np.array_equal(pair.left, pair.right):
-        warnings.append("both images are the same: the disparity is 0 or chance; was one file given twice?")
-    measured = np.count_nonzero(found.measured) / found.values.size
-    if measured < _MIN_MEASURED_SHARE:
-        warnings.append(
-            f"only {100 * measured:.0f} % of the map was measured, the rest is filled in or empty: views swapped, "
-            "not rectified, search range too small, or no texture?"
-        )
-    bounds = ((search.min_disparity, "min_disparity"), (search.max_disparity, "max_disparity"))
-    shares = search.share_at_ends(found)
-    for part, (end, option) in zip(shares, bounds, strict=True):
-        if part > _MAX_SHARE_AT_END:
-            warnings.append(
-                f"{100 * part:.0f} % of the measured pixels are at the end of the search range, {end}; see {option}"
-            )
-    if _MIN_SHARE_AT_END < shares[1] <= _MAX_SHARE_AT_END and (top := matched_beyond(pair, search)) is not None:
-        warnings.append(
-            f"the images match at disparities up to {top}, searched up to {bounds[1][0]}; see max_disparity"
-        )
-    if key_points and search.min_disparity > key_points["range_low"] and key_points["range_low"] < 0:
-        warnings.append(f"the images match at disparities down to {key_points['range_low']}; see min_disparity")
-    if search.min_disparity < 0:
-        warnings.append("disp_left.png has no value for negative disparities; disp_left.pfm has them")
-    if result.figures.get("exact") == 0 and limits.memory < limits.tile_memory:
-        warnings.append(
-            f"matched in {result.figures['tiles']:.0f} tiles at {result.figures['levels']:.0f} sizes, since only "
-            f"{show_bytes(limits.memory)} of memory may be used: with more the map is another one"
-        )
-    return tuple(warnings)
-
-
-def with_bound(disparity: Disparity, pair: StereoPair, promise: Bound, context: Context) -> Disparity:
-    """Return the map of a pair with ``bound`` and ``probability``, which take somewhat longer than ``stereo fast``.
-
-    Raise InputError if there is not enough memory.
-    """
-    search = disparity.search
-    shifted, width = search.shift(pair), disparity.values.shape[1]
-    # If the range begins above 0, the first columns have no match.
-    first, top = max(search.min_disparity, 0), search.shifted_max_disparity
-    values, filled = np.full(shifted.shape, np.nan, np.float32), np.zeros(shifted.shape, np.bool_)
-    values[:, : width - first] = disparity.values[:, first:] - np.float32(search.min_disparity)
-    filled[:, : width - first] = (disparity.status[:, first:] & np.uint8(Status.FILLED)) > 0
-    size = f"a bound of {shifted.shape[1]} x {shifted.shape[0]} pixels, {top + 1} disparities"
-    check_memory(peak_bytes(shifted.shape, top, 1), context.memory, size)
-    probable, bounded = bounds(networks(), shifted, values, filled, top, promise.within, promise.level, context)
-    known = np.isfinite(disparity.values)
-    # A value without a match may be anywhere in the range.
-    bound = np.where(known, np.float32(max(top, 1)), np.float32(np.nan))
-    probability = np.zeros(disparity.values.shape, np.float32)
-    bound[:, first:] = np.where(known[:, first:], bounded[:, : width - first], np.float32(np.nan))
-    probability[:, first:] = probable[:, : width - first]
-    return replace(disparity, bound=bound, probability=probability, seconds=dict(context.clock.seconds))
 
 
 def stereo(

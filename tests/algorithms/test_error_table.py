@@ -7,7 +7,7 @@ import pytest
 
 from depthcli.algorithms.error_table import ErrorTable
 from depthcli.problems.frames import kinect_errors
-from depthcli.problems.given_maps import networks
+from depthcli.problems.map_checks import networks
 
 LEVELS = np.linspace(0.5, 0.99, 15)
 WITHIN = np.geomspace(0.25, 8, 25)

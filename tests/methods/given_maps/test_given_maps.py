@@ -14,7 +14,7 @@ from depthcli.core.maps import Status
 from depthcli.methods import given_maps
 from depthcli.methods.given_maps import _planes
 from depthcli.methods.given_maps.fusion import fuse
-from depthcli.problems.given_maps import networks
+from depthcli.problems.map_checks import networks
 from depthcli.simulate.stereo_scenes import SyntheticScene, make_scene
 from tests.contracts.inputs import preset
 from tests.golden import refused
