@@ -208,7 +208,7 @@ def _matched(views: tuple[Image, Image], low: float, top: float, window: int) ->
     """Return the disparities of a small pair from ``low`` to ``top``, (H, W) float32, NaN where the views disagree."""
     width, search = views[0].shape[1], SearchRange(int(np.floor(low)), int(np.ceil(top)))
     pair, stages = search.shift(StereoPair(*views)), quick_stages(window=window, paths=4)
-    found = search.restore(stages.match(pair, search.shifted_max_disparity, Clock()), width).disparity
+    found = search.restore(stages.compute(pair, search.shifted_max_disparity, Clock()), width).disparity
     return np.where(found.measured, found.values, np.float32(np.nan))
 
 

@@ -60,7 +60,7 @@ class CostStages(ConfigModel):
         (), description="confidence measures whose maps are written, measured on the optimized costs"
     )
 
-    def match(self, pair: StereoPair, max_disparity: int, clock: Clock) -> StereoResult:
+    def compute(self, pair: StereoPair, max_disparity: int, clock: Clock) -> StereoResult:
         """Match a pair by these stages over disparities 0 .. ``max_disparity`` inclusive; ``clock`` measures them."""
         volume = self.volume(pair, max_disparity, clock)
         return finish(pair, volume, self.optimization, self.refinement, self.confidence, clock).result

@@ -137,5 +137,5 @@ def _matched(pair: StereoPair, max_disparity: int) -> Floats | None:
     """Return the disparities of a reduced pair, NaN without a match; None if there are too few."""
     if min(pair.shape) < BLOCK or max_disparity + 1 < _MIN_DISPARITIES:
         return None
-    disparity = _STAGES.match(pair, max_disparity, Clock()).disparity
+    disparity = _STAGES.compute(pair, max_disparity, Clock()).disparity
     return disparity.values if np.count_nonzero(disparity.valid) >= _MIN_MATCHES else None

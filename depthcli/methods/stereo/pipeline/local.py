@@ -10,6 +10,8 @@ from depthcli.methods.stereo.stages import CostStages
 from depthcli.methods.stereo.volume import StereoResult
 
 
+# AdjustingMatcher is before StereoPipeline, whose ``prepared`` it replaces, and after CostStages, since pydantic lists
+# the keys from the last base to the first: ``adjust`` before ``cost``.
 class Local(CostStages, AdjustingMatcher, StereoPipeline):
     """Stereo by matching costs: any measure, any aggregation, any optimization, any list of refinements."""
 
@@ -17,7 +19,7 @@ class Local(CostStages, AdjustingMatcher, StereoPipeline):
         """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive."""
         clock = Clock()
         pair = adjusted(pair, max_disparity, self.adjust, context, clock)
-        return self.match(pair, max_disparity, clock)
+        return self.compute(pair, max_disparity, clock)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the bytes of the volumes and of the maps."""
