@@ -82,6 +82,11 @@ class Judged:
         plane: Plane = self.alone[ALONE.index(name)] if name in ALONE else self.others[OTHERS.index(name)]
         return plane
 
+    @property
+    def has_others(self) -> bool:
+        """Whether it was compared with other maps; otherwise the plane ``maps``, the log of their number, is 0."""
+        return bool(self.plane("maps")[0, 0])
+
 
 @dataclass(kw_only=True)
 class MapJudgment(Result):
@@ -119,7 +124,7 @@ def _gradient(judged: Judged, evidence: Evidence, right: Plane | None) -> Plane:
 
 
 def _agreement(judged: Judged, evidence: Evidence, right: Plane | None) -> Plane:
-    disagreeing = "disagreement_narrow" if judged.plane("maps").any() else "other_reference_narrow"
+    disagreeing = "disagreement_narrow" if judged.has_others else "other_reference_narrow"
     return np.asarray(1 - judged.plane(disagreeing), np.float32)
 
 
@@ -183,7 +188,7 @@ def judge(
     judged = judged_maps(evidence, maps)[0]
     clock.start("network")
     probability, bound = promised_of(networks, judged, within, level)
-    hidden = log_odds(networks.hidden, networks.hidden.layers[0][1][0], judged.alone, judged.others[:0]) > 0
+    hidden = odds_hidden(networks, judged) > 0
     status = with_reasons(judged.values, judged.missing, probability, hidden)
     confidence = {name: _known(MEASURES[name].of(judged, evidence, right), judged.missing) for name in measures}
     seconds = clock.seconds
@@ -274,9 +279,15 @@ def without_gaps(values: Plane, max_disparity: int) -> tuple[Plane, NDArray[np.b
 
 def odds_of(networks: Networks, judged: Judged, within: float) -> Plane:
     """Return the log odds (H, W) that the values of a map have errors up to ``within`` pixels."""
-    if judged.others[OTHERS.index("maps"), 0, 0]:
+    if judged.has_others:
         return odds_within(networks.right, within, judged.alone, judged.others)
     return odds_within(of_first(networks.right, len(ALONE)), within, judged.alone, judged.others[:0])
+
+
+def odds_hidden(networks: Networks, judged: Judged) -> Plane:
+    """Return the log odds (H, W) that the pixels of a map are hidden in the right view."""
+    offsets = networks.hidden.layers[0][1]  # (1, ...): a row for ``HIDDEN``
+    return log_odds(networks.hidden, offsets[0], judged.alone, judged.others[:0])
 
 
 def odds_within(network: TrainedNetwork, within: float, alone: Plane, others: Plane) -> Plane:
