@@ -102,7 +102,7 @@ class MapInputs(Inputs):
     max_disparity: int | None = None  # pixels; None: estimated from the pair
     right: NDArray[np.float32] | None = None  # (H, W), the map of the right view
     status: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict)  # name of a map -> (H, W), if it has one
-    saving: Mapping[str, Any] = field(default_factory=dict)
+    save_options: Mapping[str, Any] = field(default_factory=dict)
     warnings: Sequence[str] = ()
 
     @property
@@ -228,8 +228,8 @@ class Confidence(GivenMaps[MapConfidence]):
         right = None
         if scene.right is not None and scene.right_map is not None:
             right = _loaded(scene.right_map, scene, inputs.shape)
-        saving = {"share": self.config["keep"], "threshold": self.config["threshold"]}
-        return replace(inputs, right=right, saving=saving)
+        save_options = {"share": self.config["keep"], "threshold": self.config["threshold"]}
+        return replace(inputs, right=right, save_options=save_options)
 
     def solve(self, inputs: MapInputs, context: Context) -> MapConfidence:
         """Judge the first map. Raise InputError for unsuitable maps or too little memory."""
@@ -272,7 +272,7 @@ class Confidence(GivenMaps[MapConfidence]):
         return {
             **size_of(inputs.images),
             "max_disparity": result.max_disparity,
-            "density": share(np.isfinite(result.kept(**inputs.saving))),
+            "density": share(np.isfinite(result.kept(**inputs.save_options))),
             "expected_right": share(result.probability[known]) if known.any() else None,
             "hidden": share(hidden),
             "median_bound": median(result.bound),

@@ -77,10 +77,10 @@ class Inputs:
 
     warnings: Sequence[str] = ()
     """Warnings about the inputs, one line each."""
-    saving: Mapping[str, Any] = {}
+    save_options: Mapping[str, Any] = {}
     """Arguments for the result's ``save``."""
-    later: Callable[[Path], None] | None = None
-    """A function that writes further files while the problem is solved."""
+    write_meanwhile: Callable[[Path], None] | None = None
+    """A function that writes further files into a folder while the problem is solved."""
 
 
 class Solution(Protocol):
@@ -98,7 +98,13 @@ ResultT = TypeVar("ResultT", bound=Solution)
 
 
 class Problem(SceneJob[SceneT], Generic[SceneT, InputsT, ResultT]):
-    """A problem: its inputs, solution and result. The Python functions call only ``solve``."""
+    """A problem: its inputs, solution and result.
+
+    A command calls ``ready`` with its config, then ``units`` with the found scenes. The run calls ``compute`` for each
+    scene: ``load``, ``solve``, ``save`` of the result, ``row``. A Python function makes the inputs from its arrays (of
+    pairs and frames by a method ``take``), and calls only ``solve``. Functions of pairs begin with ``Pairs.of``, which
+    reads the config and calls ``ready``.
+    """
 
     model: ClassVar[type[RootConfig]]  # class of its config
     layouts: ClassVar[Layouts[Any]]  # those of its scenes
@@ -128,11 +134,11 @@ class Problem(SceneJob[SceneT], Generic[SceneT, InputsT, ResultT]):
         """Load a scene, solve the problem, write the result, and return its row of the report."""
         inputs = self.load(scene, context)
         with ThreadPoolExecutor(1) as side:  # starts its thread only when it gets work
-            writing = None if inputs.later is None else side.submit(inputs.later, folder)
+            writing = None if inputs.write_meanwhile is None else side.submit(inputs.write_meanwhile, folder)
             result = self.solve(inputs, context)
             if writing is not None:
                 writing.result()
         context.clock.start("save")
-        result.save(folder, **inputs.saving)
+        result.save(folder, **inputs.save_options)
         row = self.row(inputs, result)
         return Outcome(row, context.clock.seconds, [*inputs.warnings, *result.warnings])

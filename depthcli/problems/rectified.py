@@ -178,19 +178,19 @@ def sequence_range(
         rectified = Rectified.of(calibration, *load_views(frame), latest)
         return pair_of(rectified.left, rectified.right, (frame.left, frame.right or frame.left))
 
-    def union() -> MatchedRange | None:
-        union: MatchedRange | None = None
+    def common_range() -> MatchedRange | None:
+        common: MatchedRange | None = None
         for frame in frames:
             try:
                 one = matched_range(pair_in(frame))
             except InputError:  # if no frame has a range, each frame reports its own problem
                 continue
-            union = one if union is None else union.union(one)
-        return union
+            common = one if common is None else common.union(one)
+        return common
 
     files = {file for frame in frames for file in frame.input_files.values()}
     files |= set(calibration_files(calibration).values())
-    return latest.get("range", (calibration, tuple(frames), file_states(*sorted(files))), union)
+    return latest.get("range", (calibration, tuple(frames), file_states(*sorted(files))), common_range)
 
 
 def metric_columns(geometry: PairGeometry, search: SearchRange | None, depth: float | None = None) -> Row:
@@ -222,13 +222,13 @@ def row_errors(before: tuple[Points, Points], after: tuple[Points, Points]) -> R
     return {"matches": len(before[0]), "row_error_before": one, "row_error": other}
 
 
-def calibration_warnings(rows: Row) -> list[str]:
+def calibration_warnings(facts: Row) -> list[str]:
     """Return a warning if a pair has a large row error after rectification."""
-    if (rows["row_error"] or 0) <= _MAX_ROW_ERROR:
+    if (facts["row_error"] or 0) <= _MAX_ROW_ERROR:
         return []
     return [
-        f"the rows of half of the {rows['matches']} matched key points are still more than {rows['row_error']:.1f} px "
-        "apart; is it the calibration of these images?"
+        f"the rows of half of the {facts['matches']} matched key points are still more than {facts['row_error']:.1f} "
+        "px apart; is it the calibration of these images?"
     ]
 
 

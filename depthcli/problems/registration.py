@@ -286,7 +286,7 @@ class VolumePair(Inputs):
 
     loaded: LoadedPair
     scene: VolumePairScene | None = None  # has the regions for further figures
-    saving: Mapping[str, Any] = field(default_factory=dict)
+    save_options: Mapping[str, Any] = field(default_factory=dict)
     warnings: Sequence[str] = ()
 
 

@@ -145,7 +145,7 @@ class PairInputs(Inputs):
     sequence: MatchedRange | None = None  # the range from the frames of the pair's sequence
     rectified: Rectified | None = None  # the views, if a calibration rectified them
     warnings: Sequence[str] = ()
-    later: Callable[[Path], None] | None = None
+    write_meanwhile: Callable[[Path], None] | None = None
 
 
 @dataclass(frozen=True)
@@ -285,7 +285,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
         rectified = rectified_scene(calibration, scene, context.latest)
         pair = pair_of(rectified.left, rectified.right, (scene.left, scene.right or scene.left))
         return PairInputs(
-            pair, matcher, self.ends(scene), sequence, rectified, rectified.warnings, later=rectified.save
+            pair, matcher, self.ends(scene), sequence, rectified, rectified.warnings, write_meanwhile=rectified.save
         )
 
     def take(self, left: ArrayLike, right: ArrayLike, context: Context) -> PairInputs:

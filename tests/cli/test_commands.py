@@ -147,6 +147,7 @@ WRONG = {
     "stereo fast -i . -o x --jobs 513": "--jobs: must be auto, or 1 to 512 (got '513')",
     "stereo fast -i . -o x --jobs many": "--jobs: must be auto, or 1 to 512 (got 'many')",
     "stereo fast -i . -o x --shard 1/2 --evaluate": "--evaluate needs all scenes",
+    "depth run -o x --shard 1/2 --html": "--html needs all scenes",
     "stereo fast -i absent -o x --flag measured": "--flag: expected COLUMN<NUMBER",
     "stereo fast -i absent -o x --flag 'measured<much'": "--flag: expected COLUMN<NUMBER",
     "stereo fast -i absent -o x --fail-flagged": "--fail-flagged needs a condition, such as --flag",
