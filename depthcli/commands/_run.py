@@ -57,8 +57,8 @@ def run_problem(
     ``options`` are config key -> value of the option with that name, or None if it is not given. ``adapted`` applies
     further options to the scenes.
     """
-    job, scenes = job_and_scenes(command, config, source, run, settings, adapted, run.evaluate, **options)
-    return run_job(job, scenes, run, source, run.evaluate, run.html)
+    job, scenes = job_and_scenes(command, config, source, run, settings, adapted, **options)
+    return run_job(job, scenes, run, source)
 
 
 def job_and_scenes(
@@ -68,28 +68,22 @@ def job_and_scenes(
     run: RunOptions,
     settings: Sequence[str | tuple[str, str]] | None,
     adapted: Callable[[list[Any]], list[Any]] = list,
-    with_truth: bool = False,
     **options: object,
 ) -> tuple[SceneJob[Any], Sequence[Any]]:
-    """Return a command's problem with its config, and its scenes.
-
-    ``with_truth`` is as for ``find_scenes``, the other parameters are as for ``run_problem``.
-    """
+    """Return a command's problem with its config, and its scenes; parameters are as for ``run_problem``."""
     problem = problems.load(command)
     job = problem.ready(config_with_options(problem.model, config, settings, options))
-    scenes = adapted(find_scenes(problem.layouts, source, run, with_truth))
+    scenes = adapted(find_scenes(problem.layouts, source, run))
     return job, job.units(scenes, run.reporter)
 
 
-def find_scenes(
-    layouts: Layouts[SceneT], source: SceneOptions, run: RunOptions, with_truth: bool = False
-) -> list[SceneT]:
+def find_scenes(layouts: Layouts[SceneT], source: SceneOptions, run: RunOptions) -> list[SceneT]:
     """Return the scenes that ``--input`` or the options for a single scene name.
 
-    ``layouts`` are the layouts of the command's kind of scene: ``PAIRS``, ``FRAMES`` or ``VOLUMES``. With
-    ``with_truth``, ground truth is needed. Raise the errors of :func:`depthcli.io.scenes.find.find_scenes`.
+    ``layouts`` are the layouts of the command's kind of scene: ``PAIRS``, ``FRAMES`` or ``VOLUMES``. Raise the errors
+    of :func:`depthcli.io.scenes.find.find_scenes`.
     """
-    patterns = source.scenes or ["*"]
+    patterns, with_truth = source.scenes or ["*"], isinstance(run, ScoredRunOptions) and run.evaluate
     return find.find_scenes(layouts, vars(source), source.single_files, patterns, with_truth, run.reporter.info)
 
 
@@ -105,10 +99,10 @@ def run_maps(
     """Solve the problem for the pairs that the options name, with their maps, and return the exit code."""
     from depthcli.problems.given_runs import with_maps
 
-    scenes, place = find_scenes(job.layouts, pairs, run, run.evaluate), pairs.input and local(pairs.input)
+    scenes, place = find_scenes(job.layouts, pairs, run), pairs.input and local(pairs.input)
     coded = coding.pattern, coding.scale, coding.invalid
     found = with_maps(scenes, place, coded, run.reporter, maps, witnesses, right_maps)
-    return run_job(job, found, run, pairs, run.evaluate, run.html)
+    return run_job(job, found, run, pairs)
 
 
 def run_job(
@@ -116,7 +110,6 @@ def run_job(
     scenes: Sequence[SceneT],
     options: RunOptions,
     source: SceneOptions | None = None,
-    evaluate: bool = False,
     html: bool = False,
 ) -> int:
     """Compute scenes into the run folder, evaluate if requested, print table or JSON, and return the exit code.
@@ -124,9 +117,11 @@ def run_job(
     Parameters
     ----------
     source : the options that name the scenes; their folder may have ground truth
-    evaluate : whether to compare the results with the ground truth
-    html : whether to compare the results with the ground truth, if there is any, and to write the page
+    html : ``--html`` of options that are no ScoredRunOptions
     """
+    evaluate = False
+    if isinstance(options, ScoredRunOptions):
+        evaluate, html = options.evaluate, options.html
     reporter, how = options.reporter, options.execution
     check_keep(job, how.keep)
     if options.dry_run or options.list_scenes:

@@ -46,9 +46,7 @@ def transparent(
         raise ConfigError(
             "--objects belongs to --color and --depth; in a folder the mask is mask_transparent.* of a scene"
         )
-    job, scenes = job_and_scenes(
-        "transparent", config, frames, run, set, with_objects, run.evaluate, **depths.settings()
-    )
+    job, scenes = job_and_scenes("transparent", config, frames, run, set, with_objects, **depths.settings())
     if mask is not None and not (isinstance(job, Transparent) and job.by_mask):
         raise ConfigError(f"--objects: {config} does not look at a mask of the objects; presets such as sensor do")
-    return run_job(job, scenes, run, frames, run.evaluate, run.html)
+    return run_job(job, scenes, run, frames)
