@@ -131,7 +131,7 @@ class Ends(NamedTuple):
 
     @property
     def are_known(self) -> bool:
-        """Whether nothing is estimated."""
+        """Return whether no end is estimated."""
         return isinstance(self.low, int) and isinstance(self.top, int)
 
 

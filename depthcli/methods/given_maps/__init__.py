@@ -84,7 +84,7 @@ class Judged:
 
     @property
     def has_others(self) -> bool:
-        """Whether it was compared with other maps; otherwise the plane ``maps``, the log of their number, is 0."""
+        """Return whether it was compared with other maps; if not, the plane ``maps``, the log of their number, is 0."""
         return bool(self.plane("maps")[0, 0])
 
 

@@ -67,7 +67,7 @@ def run_program(
     except OSError as error:
         raise ProgramError(f"{name} cannot be started: {error.strerror or error}") from error
     with _ended_group(program.pid):
-        while (ended := os.wait4(program.pid, os.WNOHANG))[0] == 0:
+        while not _has_ended(program.pid):
             peak = max(peak, _resident_bytes(program.pid))
             if time.monotonic() > until:
                 problem = f"was ended after {timeout:g} s; see timeout"
@@ -77,7 +77,7 @@ def run_program(
             if problem:
                 break
             time.sleep(_LOOK_SECONDS)
-    _, status, used = ended if ended[0] else os.wait4(program.pid, 0)
+    _, status, used = os.wait4(program.pid, 0)
     program.returncode = code = os.waitstatus_to_exitcode(status)
     if not problem and code:
         names = {int(each): each.name for each in signal.Signals}
@@ -88,6 +88,14 @@ def run_program(
     if used.ru_maxrss > resource.getrusage(resource.RUSAGE_SELF).ru_maxrss:  # it includes our memory at the start
         peak = max(peak, used.ru_maxrss * (1 if sys.platform == "darwin" else 1024))
     context.used["program_memory"] = max(context.used.get("program_memory", 0), peak)
+
+
+def _has_ended(child: int) -> bool:
+    """Return whether a child has ended; it stays a zombie, so that no other process gets its number."""
+    if hasattr(os, "waitid"):
+        return os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+    words = ["ps", "-o", "state=", "-p", str(child)]  # macOS before Python 3.13
+    return subprocess.run(words, capture_output=True, text=True, check=False).stdout.startswith("Z")
 
 
 @contextlib.contextmanager
