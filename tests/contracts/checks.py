@@ -110,6 +110,14 @@ def same_costs_at_any_number_of_threads(aggregate):
 # Pipelines.
 
 
+def assert_in_range(found, shape, top):
+    reasons = Status.OCCLUDED | Status.MISMATCH | Status.OUT_OF_RANGE | Status.NO_DATA
+    assert found.values.shape == shape and found.values.dtype == np.float32
+    known = found.values[found.valid]
+    assert np.all((known >= 0) & (known <= top))
+    assert np.all(found.status[~found.valid] & reasons)
+
+
 @of("methods.stereo.pipeline")
 def a_plane_has_its_disparity(pipeline):
     for color in (False, True):
@@ -119,13 +127,9 @@ def a_plane_has_its_disparity(pipeline):
 
 @of("methods.stereo.pipeline")
 def pairs_of_any_size_have_values_within_the_range_or_a_reason(pipeline):
-    reasons = Status.OCCLUDED | Status.MISMATCH | Status.OUT_OF_RANGE | Status.NO_DATA
     for height, width, disparities in TINY:
         found = pipeline(shifted_pair(height, width, 1, seed=width), disparities - 1).disparity
-        assert found.values.shape == (height, width) and found.values.dtype == np.float32
-        known = found.values[found.valid]
-        assert np.all((known >= 0) & (known <= disparities - 1))
-        assert np.all(found.status[~found.valid] & reasons)
+        assert_in_range(found, (height, width), disparities - 1)
 
 
 @of("methods.stereo.pipeline")

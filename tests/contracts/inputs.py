@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from depthcli.commands import config_model
 from depthcli.core.config_file import find_config, load_config
-from depthcli.core.frames import RgbdFrame, SparseFrame
+from depthcli.core.frames import RgbdFrame, SparseFrame, StereoPair
+from depthcli.core.method import Family
 from depthcli.methods.fusion.choice import Proposals
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.simulate.stereo_scenes import SyntheticScene
@@ -22,6 +23,17 @@ NOISE = 0.004
 def preset(command: str, name: str, *settings: str) -> Any:
     """Return the config of a preset of a command, with settings such as ``max_age=3``."""
     return load_config(config_model(command), find_config(command, name), settings)
+
+
+def part(package: str, name: str, **fields: Any) -> Any:
+    """Return a method of a package below ``depthcli``, as a config names it."""
+    family = Family.of(f"depthcli.{package}")
+    return family.parse({family.key: name, **fields}, None)
+
+
+def views(scene: SyntheticScene) -> StereoPair:
+    """Return the pair of a generated scene."""
+    return StereoPair(scene.left, scene.right)
 
 
 def wrong(found: StereoResult, scene: SyntheticScene) -> float:

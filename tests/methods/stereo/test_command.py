@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -14,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 import depthcli
 from depthcli.cli import main
@@ -24,7 +22,7 @@ from depthcli.io.formats.images import read_image, write_png
 from depthcli.methods.stereo.pipeline._process import ProgramError, run_program
 from depthcli.problems.stereo import StereoConfig
 from tests.command_line import rows
-from tests.golden import refused, saying, told
+from tests.golden import refused, told
 
 # OpenCV's matcher as a program of somebody else: reads two images, writes a map as .npy.
 SGBM = """
@@ -63,6 +61,8 @@ FAILURES = {
     "size": "output.npy has another size than the images: 96 x 63, expected 96 x 64",
 }
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
+SGBM_WORDS = [sys.executable, "sgbm.py", "{left}", "{right}", "{output}", "{max_disparity}", "{block}"]
+NPY = {"format": "npy", "parameters": {"block": 5}}
 
 
 @pytest.fixture
@@ -73,18 +73,20 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sgbm.py").write_text(SGBM)
     (tmp_path / "failing.py").write_text(FAILING)
-    write_config(tmp_path / "sgbm.yaml", ["sgbm.py", "{left}", "{right}", "{output}", "{max_disparity}", "{block}"])
+    write_config("sgbm.yaml", SGBM_WORDS)
     return tmp_path
 
 
-def write_config(path: Path, words: list[str], **fields: object) -> Path:
-    config = {"pipeline": "command", "run": [sys.executable, *words], "parameters": {"block": 5}, "format": "npy"}
-    path.write_text(json.dumps(config | fields))
-    return path
+def write_config(file: str, words: list[str], **fields: object) -> None:
+    Path(file).write_text(json.dumps({"pipeline": "command", "run": words, **NPY, **fields}))
 
 
 def stereo(config: str, scenes: Path, output: str, *options: str) -> int:
     return main(["stereo", config, "-i", str(scenes), "-o", output, "-q", *options])
+
+
+def map_of(run: str) -> np.ndarray:
+    return read_pfm(Path(run, "planes_0", "disp_left.pfm"))
 
 
 def program(words: list[str], **fields: object) -> StereoConfig:
@@ -100,8 +102,8 @@ def test_a_program_with_opencvs_matcher_is_as_good_as_the_matcher(here: Path, ma
     assert found["density"] > 0.7
     assert found["seconds"].keys() >= {"write", "program", "read"}
     assert found["program_cpu"] > 0.05
-    assert found["program_memory"] > 20 << 20
-    one, other = (read_pfm(here / run / "planes_0" / "disp_left.pfm") for run in ("others", "ours"))
+    assert 20 << 20 < found["program_memory"] < 400 << 20
+    one, other = map_of("others"), map_of("ours")
     both = np.isfinite(one) & np.isfinite(other)
     assert both.mean() > 0.6
     assert np.mean(np.abs(one[both] - other[both]) < 1) > 0.95
@@ -111,8 +113,8 @@ def test_a_program_with_opencvs_matcher_is_as_good_as_the_matcher(here: Path, ma
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", FAILURES)
 def test_each_failure_is_a_row_and_the_other_scenes_are_written(here: Path, made_scenes: Path, kind: str):
-    command, limit = ["failing.py", "{left}", "{output}", "{name}", kind, "{scratch}"], 8 if kind == "hangs" else 60
-    write_config(here / "c.yaml", command, timeout=f"{limit} s")  # enough for the others on a busy machine
+    words = [sys.executable, "failing.py", "{left}", "{output}", "{name}", kind, "{scratch}"]
+    write_config("c.yaml", words, timeout="8 s" if kind == "hangs" else "60 s")
     assert stereo("c.yaml", made_scenes, "run", "--scenes", "planes_[012]") == 3
     found = rows(here / "run")
     assert [row["status"] for row in found.values()] == ["done", "failed", "done"]
@@ -128,9 +130,9 @@ def test_a_run_goes_on_unless_program_or_version_are_others(here: Path, made_sce
     assert main(run) == 0
     tool.told(0, "stereo", "run/run.yaml", *run[2:])
     (here / "sgbm.py").write_text(SGBM.replace("raw / 16", "raw / 8"))
-    before = read_pfm(here / "run" / "planes_0" / "disp_left.pfm")
+    before = map_of("run")
     assert main(run) == 0
-    after = read_pfm(here / "run" / "planes_0" / "disp_left.pfm")
+    after = map_of("run")
     both = np.isfinite(before) & np.isfinite(after) & (before > 0)
     assert np.median(after[both] / before[both]) == 2
     tool.told(2, *run, "--set", "version=2.1")
@@ -140,10 +142,9 @@ def test_a_run_goes_on_unless_program_or_version_are_others(here: Path, made_sce
 def test_it_is_a_method_for_python_matched_in_tiles_where_a_halo_is_given(here: Path):
     left = np.random.default_rng(0).integers(0, 256, (160, 320), np.uint8)
     right = np.roll(left, -7, axis=1)
-    words = [sys.executable, "sgbm.py", "{left}", "{right}", "{output}", "{max_disparity}", "{block}"]
-    fields = {"format": "npy", "parameters": {"block": 5}, "max_disparity": 15, "tiles": "always"}
-    whole = depthcli.stereo(left, right, preset=program(words, **fields))
-    tiled = depthcli.stereo(left, right, preset=program(words, **fields, halo=20))
+    fields = {**NPY, "max_disparity": 15, "tiles": "always"}
+    whole = depthcli.stereo(left, right, preset=program(SGBM_WORDS, **fields))
+    tiled = depthcli.stereo(left, right, preset=program(SGBM_WORDS, **fields, halo=20))
     assert np.nanmedian(whole.values) == np.nanmedian(tiled.values) == 7
     assert "tiles" not in whole.details.figures
     assert tiled.details.figures["tiles"] >= 1
@@ -163,11 +164,8 @@ def test_formats_scales_and_values_that_mean_none(here: Path):
         words = [sys.executable, "-c", "import shutil, sys; shutil.copy(*sys.argv[1:])", str(here / file), "{output}"]
         return depthcli.stereo(image, image, preset=program(words, **fields), max_disparity=15)
 
-    for file, fields in (
-        ("map.pfm", {"invalid": [-10]}),
-        ("map.npy", {"format": "npy"}),
-        ("kitti.png", {"format": "kitti", "invalid": [2560]}),
-    ):
+    kitti = {"format": "kitti", "invalid": [2560]}
+    for file, fields in (("map.pfm", {"invalid": [-10]}), ("map.npy", {"format": "npy"}), ("kitti.png", kitti)):
         result = found(file, **fields)
         assert list(result.status[0, :6]) == [2, 2, 4, 0, 4, 0]
         np.testing.assert_array_equal(np.isnan(result.values), result.status > 0)
@@ -185,8 +183,7 @@ def test_images_are_written_as_the_program_reads_them(here: Path, images: str, k
     assert (depthcli.stereo(left, left, preset=preset, max_disparity=15).values == 1).all()
     written = read_image(here / f"left.{images}")
     assert written.shape == kind
-    if len(kind) == 3:
-        assert np.array_equal(written, left)
+    assert len(kind) == 2 or np.array_equal(written, left)
 
 
 @pytest.mark.slow
@@ -195,12 +192,12 @@ def test_original_images_are_the_scene_s_own_files_or_refused(here: Path, made_s
         "import sys, numpy; open(sys.argv[4], 'a').write('\\n'.join(sys.argv[1:3]) + '\\n'); "
         "numpy.save(sys.argv[3], numpy.full((64, 96), 3, numpy.float32))"
     )
-    write_config(here / "c.yaml", ["-c", code, "{left}", "{right}", "{output}", "{cwd}/seen"], images="original")
-    options = ("--scenes", "planes_0")
-    assert stereo("c.yaml", made_scenes, "run", *options) == 0
+    words = [sys.executable, "-c", code, "{left}", "{right}", "{output}", "{cwd}/seen"]
+    write_config("c.yaml", words, images="original")
+    assert stereo("c.yaml", made_scenes, "run", "--scenes", "planes_0") == 0
     seen = set((here / "seen").read_text().split())
     assert seen == {str(path) for path in (made_scenes / "planes_0").glob("[lr]*.png")}
-    assert stereo("c.yaml", made_scenes, "shifted", *options, "--set", "min_disparity=1") == 3
+    assert stereo("c.yaml", made_scenes, "shifted", "--scenes", "planes_0", "--set", "min_disparity=1") == 3
     told(capsys.readouterr().err)
     assert not list((here / "scratch").iterdir())
 
@@ -209,31 +206,27 @@ def test_original_images_are_the_scene_s_own_files_or_refused(here: Path, made_s
 def test_no_shell_reads_the_name_of_a_scene(here: Path, made_scenes: Path, name: str):
     shutil.copytree(made_scenes / "planes_0", here / "in" / name)
     line = 'test "$1" = "$DEPTHCLI_NAME" && printf "%s" "$DEPTHCLI_NAME" > "$DEPTHCLI_CWD/name"; exit 9'
-    (here / "c.yaml").write_text(yaml.dump({"pipeline": "command", "program": ["sh", "-c", line, "sh", "{name}"]}))
+    write_config("c.yaml", ["sh", "-c", line, "sh", "{name}"])
     assert stereo("c.yaml", here / "in", "run", "--max-disparity", "15") == 3
     assert (here / "name").read_text() == name
     assert not list(here.rglob("ran"))
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        (["run=[./absent, '{left}']"], r"program: \./absent: no such program"),
-        (["run=[python, '{zzzz}']"], r"no placeholder \{zzzz\}; there are: left, right, max_disparity"),
-        (["run=[python, '{']"], "a brace is written"),
-        (["run=[python, '{max_disparity:03}']"], "no placeholder"),
-        (["timeout=10 parsecs"], "timeout: expected a time"),
-        (["parameters.left=3"], "'left' cannot be the name of a parameter"),
-        (["shell=true"], r"sh, -c, "),
-        (["run=[bash, -ec, 'echo \"{name}\"']"], "DEPTHCLI_NAME"),
-    ],
-)
-def test_what_is_wrong_with_a_config_is_said_before_any_scene_is_opened(
-    here: Path, made_scenes: Path, capsys, settings: list[str], message: str
-):
-    options = [word for setting in settings for word in ("--set", setting)]
-    assert stereo("sgbm.yaml", made_scenes, "run", *options) == 2
-    assert re.search(message, capsys.readouterr().err)
+WRONG = {
+    "run=[./absent, '{left}']": "program: ./absent: no such program",
+    "run=[python, '{zzzz}']": "no placeholder {zzzz}; there are: left, right, max_disparity",
+    "run=[python, '{']": "a brace is written",
+    "run=[python, '{max_disparity:03}']": "no placeholder",
+    "timeout=10 parsecs": "timeout: expected a time",
+    "parameters.left=3": "'left' cannot be the name of a parameter",
+    "shell=true": "sh, -c, ",
+    "run=[bash, -ec, 'echo \"{name}\"']": "DEPTHCLI_NAME",
+}
+
+
+@pytest.mark.parametrize("setting", WRONG)
+def test_what_is_wrong_with_a_config_is_said_before_any_scene_is_opened(here: Path, made_scenes: Path, tool, setting):
+    assert WRONG[setting] in tool.err(2, "stereo", "sgbm.yaml", "-i", made_scenes, "-o", "run", "--set", setting)
     assert not (here / "run").exists()
 
 
@@ -244,37 +237,20 @@ def test_programs_are_found_beside_the_config_before_the_current_folder(here: Pa
     for folder, value in ((work, 4), (here, 7)):
         (folder / "plane").write_text(f'#!/bin/sh\nexec {sys.executable} "$1" "$2" {value}\n')
         (folder / "plane").chmod(0o755)
-    (work / "plane.py").write_text(
-        "import sys, numpy as np\nnp.save(sys.argv[1], np.full((64, 96), float(sys.argv[2]), np.float32))\n"
-    )
-    config = {"pipeline": "command", "run": ["./plane", "plane.py", "{output}"], "format": "npy"}
-    (work / "plane.yaml").write_text(json.dumps(config))
-    options = ("--scenes", "planes_0")
-    assert stereo("study/plane.yaml", made_scenes, "run", *options) == 0
-    assert (read_pfm(here / "run" / "planes_0" / "disp_left.pfm") == 4).all()
+    code = "import sys, numpy as np; np.save(sys.argv[1], np.full((64, 96), float(sys.argv[2]), np.float32))"
+    (work / "plane.py").write_text(code)
+    write_config("study/plane.yaml", ["./plane", "plane.py", "{output}"])
+    assert stereo("study/plane.yaml", made_scenes, "run", "--scenes", "planes_0") == 0
+    assert (map_of("run") == 4).all()
     assert str(work / "plane.py") in (here / "run" / "run.yaml").read_text()
     (work / "plane").unlink()  # then the one in the current folder
-    assert stereo("study/plane.yaml", made_scenes, "other", *options) == 0
-    assert (read_pfm(here / "other" / "planes_0" / "disp_left.pfm") == 7).all()
+    assert stereo("study/plane.yaml", made_scenes, "other", "--scenes", "planes_0") == 0
+    assert (map_of("other") == 7).all()
 
 
-def run(folder: Path, code: str, timeout: float = 60.0, memory: int = 1 << 40) -> dict[str, float]:
+def run(folder: Path, code: str, timeout: float = 60.0, memory: int = 1 << 40) -> None:
     (folder / "program.py").write_text(textwrap.dedent(code))
-    context = Context(program_memory=memory)
-    run_program([sys.executable, "program.py"], folder, timeout, context)
-    return context.used
-
-
-def test_the_program_and_files_among_its_words_are_inputs(here: Path):
-    words = [sys.executable, "sgbm.py", "{left}", "{right}", "{output}", "absent.py", "failing.py"]
-    found = program(words).pipeline.used_files()  # type: ignore[attr-defined]
-    assert found == {"program": Path(sys.executable), "program_1": Path("sgbm.py"), "program_2": Path("failing.py")}
-
-
-def test_time_and_memory_are_those_of_the_program(tmp_path: Path):
-    found = run(tmp_path, 'block = bytearray(b"x" * (64 << 20)); print(sum(range(3_000_000)))')
-    assert found["program_cpu"] > 0.01
-    assert 64 << 20 < found["program_memory"] < 400 << 20  # not that of this process
+    run_program([sys.executable, "program.py"], folder, timeout, Context(program_memory=memory))
 
 
 def running(pid: int) -> bool:
@@ -293,19 +269,14 @@ def ends(pid: int) -> bool:
     return within_seconds(lambda: not running(pid))
 
 
-@pytest.mark.parametrize(
-    "code",
-    [
+def test_exit_codes_and_signals_are_named_with_the_end_of_the_output(tmp_path: Path):
+    for code in (
         "import sys; print('no licence', file=sys.stderr); sys.exit(3)",
         "print('only stdout'); raise SystemExit(1)",
         "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
         "print('y' * 9999); 1 / 0",
-    ],
-)
-def test_exit_codes_and_signals_are_named_with_the_end_of_the_output(tmp_path: Path, code: str):
-    with saying(ProgramError) as error:
-        run(tmp_path, code)
-    assert "\n" not in str(error.value)
+    ):
+        refused(ProgramError, run, tmp_path, code)
 
 
 CHILD = """

@@ -10,8 +10,6 @@ from depthcli.core.maps import Status
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.kernels.jit import run_bands
 from depthcli.kernels.winners import winners
-from depthcli.methods.stereo.boundary.exponential import Exponential
-from depthcli.methods.stereo.boundary.gaussian import Gaussian
 from depthcli.methods.stereo.cost.intensity_gradient import IntensityGradient
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent
 from depthcli.methods.stereo.segments import planes as energy
@@ -23,7 +21,7 @@ from depthcli.problems.results import write_details
 from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.inputs import texture
 from tests.contracts.checks import pairs_of_any_size_have_values_within_the_range_or_a_reason
-from tests.contracts.inputs import preset, wrong
+from tests.contracts.inputs import part, preset, views, wrong
 from tests.naive import segments as naive
 
 FIT = SegmentPlaneFit(tolerance=0.5, trials=200, max_slope=1.0, flatness=1.0, seed=0)
@@ -51,12 +49,10 @@ def _planes(*rows):
 @pytest.mark.parametrize("radius", [0, 1, 3, 12])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 def test_window_stays_inside_the_segment(radius, dtype):
-    rng = np.random.default_rng(radius)
-    costs = rng.integers(0, 200, (9, 12, 5)).astype(dtype)
+    costs = np.random.default_rng(radius).integers(0, 200, (9, 12, 5)).astype(dtype)
     costs[0, 0, 0] = 255
-    labels = _labels()
-    volume = segment_window(CostVolume(costs, 2.0), labels, radius)
-    expected = naive.segment_window(costs.astype(np.float64), labels, radius)
+    volume = segment_window(CostVolume(costs, 2.0), _labels(), radius)
+    expected = naive.segment_window(costs.astype(np.float64), _labels(), radius)
     step = 16 if dtype == np.uint8 else volume.scale / 2.0
     assert volume.costs.dtype == np.uint16
     assert np.allclose(volume.costs / step, expected, atol=0.6 / step + (0 if dtype != np.float32 else 0.05))
@@ -65,7 +61,7 @@ def test_window_stays_inside_the_segment(radius, dtype):
 @pytest.mark.parametrize("radius", [0, 2])
 def test_first_disparities_have_the_smallest_sums_inside_segment_and_range(radius):
     """Chapter 2: eq. 2.6 + 2.7, summed over the window's pixels in the segment, the ranges of eq. 2.2 as a ban."""
-    pair = StereoPair(texture((14, 30, 3), 1).astype(np.uint8), texture((14, 30, 3), 2).astype(np.uint8))
+    pair = StereoPair(texture((14, 30, 3), 1), texture((14, 30, 3), 2))
     labels, limits = _labels(shape=(14, 30)), np.array([[0, 7], [2, 3], [4, 6], [1, 1]], np.int32)
     costs = IntensityGradient()(pair, 8)
     volume = segment_window(costs, labels, radius) if radius else costs
@@ -80,27 +76,20 @@ def test_first_disparities_have_the_smallest_sums_inside_segment_and_range(radiu
 
 
 def test_ranges_follow_equations_2_3_to_2_5():
-    labels = np.zeros((4, 9), np.int32)
-    labels[:, 3:6] = 1
-    labels[:, 6:] = 2
-    matches = _matches((0, 0, 10.2), (1, 1, 12.6), (4, 2, 1.0))
-    ranges = Ranges(margin=0.25)
-    assert ranges(labels, matches, 20).limits.tolist() == [[5, 18], [0, 6], [0, 20]]
-    assert ranges(labels, None, 20).limits.tolist() == [[0, 20]] * 3
-    tight = Ranges(margin=0)(labels, _matches((4, 2, 19.5)), 20)
-    assert tight.limits.tolist() == [[0, 20], [19, 20], [0, 20]]
+    labels = np.tile(np.arange(9, dtype=np.int32) // 3, (4, 1))
+    some, one = _matches((0, 0, 10.2), (1, 1, 12.6), (4, 2, 1.0)), _matches((4, 2, 19.5))
+    found = [Ranges(margin=m)(labels, each, 20).limits.tolist() for m, each in ((0.25, some), (0.25, None), (0, one))]
+    assert found == [[[5, 18], [0, 6], [0, 20]], [[0, 20]] * 3, [[0, 20], [19, 20], [0, 20]]]
 
 
 @pytest.mark.parametrize(("dtype", "limit"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, np.inf)])
 @pytest.mark.parametrize("penalty", [0.0, 20.0, 90.0])
 def test_disparities_outside_the_range_cost_more(dtype, limit, penalty):
-    rng = np.random.default_rng(7)
-    costs = rng.integers(0, 250, (9, 12, 6)).astype(dtype)
+    costs = np.random.default_rng(7).integers(0, 250, (9, 12, 6)).astype(dtype)
     ranges = np.array([[0, 5], [2, 3], [4, 5], [1, 1]], np.int32)
     raw = costs.copy()
     volume = Ranges(penalty=penalty).penalize(CostVolume(costs, 2.0), SearchRanges(_labels(), ranges))
-    assert np.array_equal(costs, raw)
-    assert volume.costs.dtype == dtype
+    assert np.array_equal(costs, raw) and volume.costs.dtype == dtype
     assert np.array_equal(volume.costs, naive.penalize_outside(costs, _labels(), ranges, 2 * penalty, limit))
 
 
@@ -142,11 +131,8 @@ def test_discrepancy_is_equation_2_9(truncation, weighted):
     trusted = rng.random((9, 12)) < 0.6
     trusted[_labels() == 3] = False
     rows = [(0.1, 0.0, 2.0), (0.0, 0.2, 1.0), (0.0, 0.0, 3.0)]
-    members = RegionPixels.of(_labels(), trusted, 4)
-    unary = np.zeros((4, 3))
-    weights = np.ones((1, 1), np.float32)
-    if weighted:
-        weights = rng.uniform(0.2, 1, (9, 12)).astype(np.float32)
+    members, unary = RegionPixels.of(_labels(), trusted, 4), np.zeros((4, 3))
+    weights = rng.uniform(0.2, 1, (9, 12)).astype(np.float32) if weighted else np.ones((1, 1), np.float32)
     run_bands(energy.discrepancy, 64, unary, values, weights, *members, np.array(rows), 10.0, min(truncation, 1e6))
     expected = naive.discrepancy(values, trusted, _labels(), rows, 10.0, truncation, np.broadcast_to(weights, (9, 12)))
     assert np.allclose(unary, expected, rtol=1e-4)
@@ -178,24 +164,23 @@ def test_matching_cost_sums_the_volume(with_agreement):
 
 
 def test_visibility_charges_planes_in_front_of_what_the_right_view_sees():
-    labels = np.zeros((1, 10), np.int32)
     limits = np.full((1, 12), 4, np.float32)  # the right view's disparities and one pixel, with a column beyond
     limits[:, [0, -1]] = np.inf
-    members = RegionPixels.of(labels, np.arange(10)[None] >= 6)
-    unary = np.zeros((1, 4))
+    members, unary = RegionPixels.of(np.zeros((1, 10), np.int32), np.arange(10)[None] >= 6), np.zeros((1, 4))
     planes = np.array([(0, 0, 3), (0, 0, 4), (0, 0, 5), (0, 0, 9.0)])
     run_bands(energy.visibility, 64, unary, limits, *members, planes, 2.0)
     assert unary.tolist() == [[0, 0, 8, 2]]  # at 9 only x = 9 points into the right image
 
 
 def test_smoothness_is_equation_2_12():
-    labels = np.zeros((4, 6), np.int32)
-    labels[:, 3:] = 1
-    image = np.where(labels[..., None] == 1, 10, 40).astype(np.uint8).repeat(3, axis=2)
-    graph = region_graph(labels, image)
-    assert Gaussian()(graph).tolist() == pytest.approx([4 * np.exp(-3 * 30**2 / 150**2)])
-    assert Gaussian(color="grey", color_scale=60)(graph).tolist() == pytest.approx([4 * np.exp(-(30**2) / 60**2)])
-    assert Exponential()(graph).tolist() == pytest.approx([4 * np.exp(-(3**0.5) * 30 / 150)])
+    labels = np.tile(np.arange(6, dtype=np.int32) // 3, (4, 1))
+    graph = region_graph(labels, np.where(labels[..., None] == 1, 10, 40).astype(np.uint8).repeat(3, axis=2))
+    for name, fields, exponent in (
+        ("gaussian", {}, 3 * 30**2 / 150**2), ("gaussian", {"color": "grey", "color_scale": 60}, 30**2 / 60**2),
+        ("exponential", {}, 3**0.5 * 30 / 150),
+    ):  # fmt: skip
+        costs = part("methods.stereo.boundary", name, **fields)(graph)
+        assert costs.tolist() == pytest.approx([4 * np.exp(-exponent)]), name
 
 
 @pytest.mark.parametrize("cut", [[True] * 4, [False] * 4, [False, True, True, False]])
@@ -203,10 +188,11 @@ def test_a_grid_cuts_segments_into_parts(cut):
     labels = _labels()
     parts, count = grid_parts(labels, 5, np.array(cut))
     y, x = np.indices(labels.shape)
-    cells = np.where(np.array(cut)[labels], 3 * (y // 5) + x // 5, 0)
+    whole = ~np.array(cut)[labels]
+    cells = np.where(whole, 0, 3 * (y // 5) + x // 5)
     pairs = {*zip(labels.ravel().tolist(), cells.ravel().tolist(), parts.ravel().tolist(), strict=True)}
     assert len(pairs) == len(np.unique(parts)) == len({pair[:2] for pair in pairs})
-    assert parts.max() < count and np.array_equal(parts[~np.array(cut)[labels]], labels[~np.array(cut)[labels]])
+    assert parts.max() < count and np.array_equal(parts[whole], labels[whole])
 
 
 def test_only_segments_that_are_not_a_plane_are_cut():
@@ -215,31 +201,26 @@ def test_only_segments_that_are_not_a_plane_are_cut():
     labels = (x >= 64).astype(np.int32)
     first = FirstEstimate(values, np.ones((64, 128), bool), np.zeros((64, 128), np.uint16))
     cut = Split(cells=(16,), tolerance=0.5)(labels, first, FIT)
-    assert len(np.unique(cut[:, :64])) == 1
-    assert len(np.unique(cut[:, 64:])) == 16
-    assert not set(np.unique(cut[:, :64])) & set(np.unique(cut[:, 64:]))
+    left, right = (set(np.unique(half)) for half in (cut[:, :64], cut[:, 64:]))
+    assert (len(left), len(right)) == (1, 16) and not left & right
     assert np.array_equal(naive.components(cut[..., None], 0).max(), cut.max())
 
 
 def test_areas_off_their_plane_get_their_first_disparities_back_if_dense_smooth_and_wide():
     first = np.full((60, 100), 10.3)
     bump, strip, noise, blind = np.s_[20:40, 15:35], np.s_[:, 50:51], np.s_[20:40, 60:78], np.s_[45:57, 15:35]
-    for place in (bump, strip, blind):
-        first[place] = 14.3
-    rng = np.random.default_rng(0)
-    first[noise] = np.where(rng.random((20, 18)) < 0.5, 14.3, 10.3)
+    first[bump] = first[strip] = first[blind] = 14.3
+    first[noise] = np.where(np.random.default_rng(0).random((20, 18)) < 0.5, 14.3, 10.3)
     costs = np.square(first[..., None] - np.arange(20)).astype(np.float32)
     costs[:, :, :2] += 1000  # as in a match outside the right image
-    found = Selection()(CostVolume(costs, 1.0))
-    trusted = np.ones(first.shape, bool)
+    volume, trusted = CostVolume(costs, 1.0), np.ones(first.shape, bool)
+    found = Selection()(volume)
     trusted[blind] = False
     given = FirstEstimate(found.values, trusted, found.right)
     planes = np.full(first.shape, 10, np.float32)
-    kept = Restoration()(planes, given, CostVolume(costs, 1.0))
-    np.testing.assert_array_equal(kept, planes)
-    restored = Restoration(radius=1)(planes, given, CostVolume(costs, 1.0))
-    inside = np.s_[25:35, 20:30]
-    np.testing.assert_allclose(restored[inside], 14.3, atol=0.05)  # with fractions
+    np.testing.assert_array_equal(Restoration()(planes, given, volume), planes)
+    restored = Restoration(radius=1)(planes, given, volume)
+    np.testing.assert_allclose(restored[25:35, 20:30], 14.3, atol=0.05)  # with fractions
     for place in (strip, noise, blind, np.s_[:, 85:]):
         np.testing.assert_array_equal(restored[place], 10)
 
@@ -251,37 +232,27 @@ def test_the_status_of_planes():
     assert map_with_status(values, first).status.tolist() == [[hidden, Status.SMOOTHED, wrong_one, wrong_one, hidden]]
 
 
-def test_generated_planes_come_out():
+def test_generated_planes_come_out_with_details_on_request(tmp_path):
     scene = make_scene("planes", seed=1, height=150, width=200, max_disparity=20)
-    result = _preset()(StereoPair(scene.left, scene.right), scene.max_disparity)
-    assert wrong(result, scene) < 0.02
-    assert result.disparity.density == 1
-    assert result.figures["energy"] <= result.figures["energy_before"]
-    assert result.figures["planes"] > 0 and result.figures["keypoints"] > 10
-    status = result.disparity.status
+    assert not _preset()(views(scene), 20).tables
+    result = _preset(details=True)(views(scene), 20)
+    figures, tables, pictures, status = result.figures, result.tables, result.pictures, result.disparity.status
+    assert wrong(result, scene) < 0.02 and result.disparity.density == 1
+    assert figures["energy"] <= figures["energy_before"]
+    assert figures["planes"] > 0 and figures["keypoints"] > 10
     assert not np.any((status & Status.FILLED == 0) & (status & (Status.OCCLUDED | Status.MISMATCH) != 0))
     hidden = (status & Status.OCCLUDED) != 0
     assert hidden[~scene.nonocc].mean() > 0.5 > hidden[scene.nonocc].mean()
-
-
-def test_details_are_written_on_request(tmp_path):
-    scene = make_scene("planes", seed=1, height=90, width=120, max_disparity=16)
-    pair = StereoPair(scene.left, scene.right)
-    assert not _preset()(pair, 16).tables
-    result = _preset(details=True)(pair, 16)
-    assert set(result.tables) == {"planes", "segment_labels", "keypoints"}
-    assert set(result.pictures) == {"segments", "segments_preview", "keypoints", "initial_disparity", "trusted"}
-    assert len(result.tables["planes"]) == result.figures["planes"]
-    assert len(result.tables["segment_labels"]) == result.figures["segments"]
-    assert len(result.tables["keypoints"]) == result.figures["keypoints"]
+    assert set(pictures) == {"segments", "segments_preview", "keypoints", "initial_disparity", "trusted"}
+    count = figures["segments"]
+    sizes = {"planes": figures["planes"], "segment_labels": count, "keypoints": figures["keypoints"]}
+    assert {name: len(table) for name, table in tables.items()} == sizes
+    assert sum(row["segments"] for row in tables["planes"]) == count == pictures["segments"].max() + 1
+    assert pictures["segments"].dtype == np.uint16 and pictures["keypoints"].shape == (300, 200, 3)
     write_details(result, tmp_path)
-    initial, trusted = read_pfm(tmp_path / "initial_disparity.pfm"), result.pictures["trusted"] == 255
+    initial, trusted = read_pfm(tmp_path / "initial_disparity.pfm"), pictures["trusted"] == 255
     assert np.mean(np.abs(initial - scene.disparity_left)[trusted & scene.nonocc] <= 1) > 0.95
-    assert trusted.mean() == pytest.approx(result.figures["trusted"])
-    segments = result.pictures["segments"]
-    assert segments.dtype == np.uint16 and segments.max() + 1 == result.figures["segments"]
-    assert result.pictures["keypoints"].shape == (180, 120, 3)
-    assert sum(row["segments"] for row in result.tables["planes"]) == result.figures["segments"]
+    assert trusted.mean() == pytest.approx(figures["trusted"])
 
 
 def test_a_uniform_image_has_no_values():
