@@ -9,10 +9,11 @@ import pytest
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.io.scenes import Scene, StereoScene
+from depthcli.io.scenes import Scene
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.scenes.volumes import VOLUMES
+from tests.files import laid
 from tests.golden import refused
 from tests.scenes import DATA, load, needs_data, true
 
@@ -20,45 +21,38 @@ GREY = np.arange(48, dtype=np.uint8).reshape(6, 8)
 COLOR = np.dstack([GREY, GREY + 1, GREY + 2]).astype(np.uint8)
 TRUTH = np.full((6, 8), 2, np.float32)
 TRUTH[0] = np.nan
+MASK = np.repeat(np.array([128, 0, 0, 255, 255, 255], np.uint8), 8).reshape(6, 8)
+MASKS = {"mask_nonocc.png": np.dstack([MASK] * 3), "mask_nonocc_right.png": MASK}
 
 
-def find(folder: Path, layout: str | None = None, pattern: str = "*", warn=lambda line: None) -> list[StereoScene]:
+def find(folder: Path, layout: str | None = None, pattern: str = "*", warn=lambda line: None) -> list:
     return discover_scenes(folder, PAIRS, layout, [pattern], warn)
 
 
-def own(folder: Path, meta: object = None, masks: bool = True) -> Path:
-    write_png(folder / "left.png", COLOR)
-    write_png(folder / "right.png", COLOR)
-    write_png(folder / "disp_left.png", np.where(np.isnan(TRUTH), 0, TRUTH * 4).astype(np.uint8))
-    if masks:
-        mask = np.zeros((6, 8), np.uint8)
-        mask[3:] = 255
-        mask[0] = 128
-        write_png(folder / "mask_nonocc.png", np.dstack([mask] * 3))
-        write_png(folder / "mask_nonocc_right.png", mask)
-    (folder / "meta.json").write_text(json.dumps({"disp_scale": 4, "max_disparity": 5} if meta is None else meta))
-    return folder
+def names(*arguments, **options) -> list[str]:
+    return [scene.name for scene in find(*arguments, **options)]
+
+
+def own(folder: Path, meta: object = None, masks: dict[str, np.ndarray] = MASKS) -> Path:
+    truth = np.where(np.isnan(TRUTH), 0, TRUTH * 4).astype(np.uint8)
+    meta = {"disp_scale": 4, "max_disparity": 5} if meta is None else meta
+    files = {"left.png": COLOR, "right.png": COLOR, "disp_left.png": truth, "meta.json": meta}
+    return laid(folder, files | masks)
 
 
 def v3(folder: Path, calib: str) -> Path:
-    write_png(folder / "im0.png", COLOR)
-    write_png(folder / "im1.png", COLOR)
-    write_pfm(folder / "disp0GT.pfm", TRUTH)
-    write_png(folder / "mask0nocc.png", np.full((6, 8), 255, np.uint8))
-    (folder / "calib.txt").write_text(calib)
-    return folder
+    mask = np.full((6, 8), 255, np.uint8)
+    files = {"im0.png": COLOR, "im1.png": COLOR, "disp0GT.pfm": TRUTH, "mask0nocc.png": mask, "calib.txt": calib}
+    return laid(folder, files)
 
 
-def kitti(folder: Path, views: tuple[str, str], occ: str, noc: str) -> Path:
+def kitti(folder: Path, views: tuple[str, str], occ: str, noc: str) -> None:
+    visible = TRUTH.copy()
+    visible[1] = np.nan
     for frame in ("000000", "000001"):
-        for view in views:
-            write_png(folder / view / f"{frame}_10.png", COLOR)
-            write_png(folder / view / f"{frame}_11.png", COLOR)
+        laid(folder, {f"{view}/{frame}_{time}.png": COLOR for view in views for time in (10, 11)})
         write_disparity_png(folder / occ / f"{frame}_10.png", TRUTH)
-        visible = TRUTH.copy()
-        visible[1] = np.nan
         write_disparity_png(folder / noc / f"{frame}_10.png", visible)
-    return folder
 
 
 def test_own_layout(tmp_path: Path):
@@ -66,34 +60,26 @@ def test_own_layout(tmp_path: Path):
     own(folder / "b")
     own(folder / "a")
     (folder / "notes").mkdir()
-    scenes = find(folder)
-    assert [s.name for s in scenes] == ["a", "b"]
-    assert (scenes[0].layout, scenes[0].protocol, scenes[0].max_disparity) == ("scenes", "middlebury_v2", 5)
-    pair = load(scenes[0])
+    first, second = find(folder)
+    assert (first.name, second.name) == ("a", "b")
+    assert (first.layout, first.protocol, first.max_disparity) == ("scenes", "middlebury_v2", 5)
+    pair, truth = load(first), true(first)
     np.testing.assert_array_equal(pair.left, COLOR)
     assert pair.right.shape == COLOR.shape
-    truth = true(scenes[0])
     np.testing.assert_array_equal(truth.disparity, TRUTH)
-    assert list(truth.masks) == ["nonocc"]
-    assert truth.masks["nonocc"].sum() == 24  # 128 does not count
-    assert [s.name for s in find(folder, pattern="b*")] == ["b"]
-    assert [s.name for s in find(folder / "a")] == ["a"]
-    assert [s.name for s in find(tmp_path, pattern="a")] == ["set/a"]
-
-
-def test_single_view_with_truth_is_a_scene_without_a_pair(tmp_path: Path):
-    (own(tmp_path / "a") / "right.png").unlink()
-    (scene,) = find(tmp_path)
-    assert scene.right is None
-    refused(InputError, load, scene)
+    assert list(truth.masks) == ["nonocc"] and truth.masks["nonocc"].sum() == 24  # 128 does not count
+    assert names(folder, pattern="b*") == ["b"] and names(folder / "a") == ["a"]
+    assert names(tmp_path, pattern="a") == ["set/a"]
+    own(folder / "c")
+    assert [s.name for s in discover_scenes(folder, PAIRS, None, ["c", "a"])] == ["a", "c"]
+    refused(InputError, discover_scenes, folder, PAIRS, None, ["a", "x"])
 
 
 def test_the_protocol_is_said_never_guessed(tmp_path: Path):
-    own(tmp_path / "a")
-    (tmp_path / "a" / "disp_left.png").unlink()
+    (own(tmp_path / "a") / "disp_left.png").unlink()
     write_pfm(tmp_path / "a" / "disp_left.pfm", TRUTH)
-    own(tmp_path / "b", {"disp_scale": 256, "masks": "none (sparse GT)"}, masks=False)
-    own(tmp_path / "c", {"protocol": "kitti_2015", "disp_scale": 256}, masks=False)
+    own(tmp_path / "b", {"disp_scale": 256, "masks": "none (sparse GT)"}, {})
+    own(tmp_path / "c", {"protocol": "kitti_2015", "disp_scale": 256}, {})
     write_disparity_png(tmp_path / "c" / "disp_left_noc.png", TRUTH)
     scenes = find(tmp_path)
     assert [s.protocol for s in scenes] == ["middlebury_v2", "middlebury_v2", "kitti_2015"]
@@ -101,61 +87,45 @@ def test_the_protocol_is_said_never_guessed(tmp_path: Path):
 
 
 def test_half_a_pair_is_an_item_with_a_problem(tmp_path: Path):
-    for name, file in (("a", "right.png"), ("b", "left.png")):
+    for name, missing in (("a", ("right", "disp_left")), ("b", ("left",))):
         own(tmp_path / name)
-        (tmp_path / name / file).unlink()
-    (tmp_path / "a" / "disp_left.png").unlink()
-    v3(tmp_path / "c", "ndisp=3")
-    (tmp_path / "c" / "im1.png").unlink()
+        for stem in missing:
+            (tmp_path / name / f"{stem}.png").unlink()
+    (v3(tmp_path / "c", "ndisp=3") / "im1.png").unlink()
     for scene in find(tmp_path):
         refused(InputError, load, scene)
         with pytest.raises(InputError):
             true(scene)
+    (own(tmp_path / "one/a") / "right.png").unlink()
+    (scene,) = find(tmp_path / "one")  # a single view with truth is a scene without a pair
+    assert scene.right is None
+    refused(InputError, load, scene)
 
 
 def test_a_folder_named_as_an_image_is_none(tmp_path: Path):
     own(tmp_path / "left.png")
-    own(tmp_path / "other")
-    (tmp_path / "other" / "right.pgm").mkdir()
+    (own(tmp_path / "other") / "right.pgm").mkdir()
     assert [scene.name for scene in find(tmp_path) if not scene.problem] == ["left.png", "other"]
 
 
-def test_a_scene_too_deep_is_told(tmp_path: Path):
-    own(tmp_path / "set" / "a")
-    own(tmp_path / "x" / "y" / "z" / "deep")
-    own(tmp_path / "x" / "y" / "deep")
+def test_scenes_that_are_not_used_are_told(tmp_path: Path):
+    for name in ("set/a", "x/y/z/deep", "x/y/deep"):
+        own(tmp_path / "in" / name)
     lines: list[str] = []
-    assert [s.name for s in find(tmp_path, warn=lines.append)] == ["set/a"]
-    assert len(lines) == 1
-    assert str(tmp_path / "x" / "y" / "deep") in lines[0]
-    assert "lies too deep" in lines[0]
-
-
-def test_scenes_below_scenes_are_told(tmp_path: Path):
-    for folder in (tmp_path, tmp_path / "later"):
-        for view in "LR":
-            write_png(folder / f"a_{view}.png", COLOR)
-    own(tmp_path / "two" / "levels")
-    lines: list[str] = []
-    assert [s.name for s in find(tmp_path, warn=lines.append)] == ["a"]
-    assert len(lines) == 1 and str(tmp_path / "later") in lines[0] and "not used" in lines[0]
-    for view in ("left", "right"):
-        write_png(tmp_path / "views" / view / "7.png", COLOR)
+    assert names(tmp_path / "in", warn=lines.append) == ["set/a"]
+    assert len(lines) == 1 and str(tmp_path / "in/x/y/deep") in lines[0] and "lies too deep" in lines[0]
+    for folder in (tmp_path / "below", tmp_path / "below/later"):
+        laid(folder, {"a_L.png": COLOR, "a_R.png": COLOR})
+    own(tmp_path / "below/two/levels")
+    lines.clear()
+    assert names(tmp_path / "below", warn=lines.append) == ["a"]
+    assert len(lines) == 1 and str(tmp_path / "below/later") in lines[0] and "not used" in lines[0]
+    laid(tmp_path / "views", {"left/7.png": COLOR, "right/7.png": COLOR})
     assert len(find(tmp_path / "views", warn=lines.append)) == len(lines) == 1
 
 
-def test_several_patterns(tmp_path: Path):
-    for name in ("a", "b", "c"):
-        own(tmp_path / name)
-    assert [s.name for s in discover_scenes(tmp_path, PAIRS, None, ["c", "a"])] == ["a", "c"]
-    refused(InputError, discover_scenes, tmp_path, PAIRS, None, ["a", "x"])
-
-
 def test_listing_opens_no_image(tmp_path: Path):
-    for stem in ("view1", "view5"):
-        write_png(tmp_path / "a" / f"{stem}.png", COLOR)
-    (tmp_path / "a" / "disp1.png").write_bytes(b"damaged")
-    (scene,) = find(tmp_path)
+    (scene,) = find(laid(tmp_path, {"a/view1.png": COLOR, "a/view5.png": COLOR, "a/disp1.png": b"damaged"}))
     load(scene)
     refused(InputError, true, scene)
 
@@ -167,37 +137,29 @@ def test_every_layout_says_what_it_wants():
 
 @pytest.mark.parametrize(("stems", "truth", "width", "codes"), [
     (("im2", "im6"), ("disp2", "disp6"), 8, 4),
-    (("imL", "imR"), ("groundtruth", None), 8, 4),
+    (("imL", "imR"), ("groundtruth",), 8, 4),
     (("view1", "view5"), ("disp1", "disp5"), 413, 3),  # 2005/2006 sets: third, half, or full size by the width
     (("view1", "view5"), ("disp1", "disp5"), 620, 2),
     (("view1", "view5"), ("disp1", "disp5"), 1240, 1),
 ])  # fmt: skip
 def test_middlebury_v2(tmp_path: Path, stems, truth, width, codes):
-    folder = tmp_path / "Teddy"
-    for stem in stems:
-        write_png(folder / f"{stem}.png", np.resize(COLOR, (6, width, 3)))
-    for stem in filter(None, truth):
-        write_png(folder / f"{stem}.png", np.full((6, width), 12, np.uint8))
+    laid(tmp_path / "Teddy", {f"{stem}.png": np.resize(COLOR, (6, width, 3)) for stem in stems})
+    laid(tmp_path / "Teddy", {f"{stem}.png": np.full((6, width), 12, np.uint8) for stem in truth})
     (scene,) = find(tmp_path)
-    assert scene.layout == "middlebury-v2"
+    assert (scene.layout, scene.protocol) == ("middlebury-v2", "middlebury_v2")
     assert scene.max_disparity == (None if stems[0] == "view1" else 59)
-    loaded = true(scene)
-    assert np.all(loaded.disparity == 12 / codes)
-    assert (loaded.right is None) == (truth[1] is None)
-    assert scene.protocol == "middlebury_v2"
+    assert np.all(true(scene).disparity == 12 / codes)
+    assert (true(scene).right is None) == (len(truth) == 1)
 
 
 def test_middlebury_v3_and_eth3d(tmp_path: Path):
     v3(tmp_path / "A", "cam0=[1 0 2; 0 1 2; 0 0 1]\ndoffs=0\nbaseline=100\nwidth=8\nheight=6\nndisp=7\nisint=1\n")
-    folder = v3(tmp_path / "B", "baseline=1\nwidth=8\nndisp=8\n")
-    (folder / "cameras.txt").write_text("")
-    (folder / "images.txt").write_text("")
+    laid(v3(tmp_path / "B", "baseline=1\nwidth=8\nndisp=8\n"), {"cameras.txt": "", "images.txt": ""})
     a, b = find(tmp_path)
     assert (a.layout, a.max_disparity, a.round_disparity, a.protocol) == ("middlebury-v3", 7, True, "middlebury_v3")
     assert (b.layout, b.max_disparity, b.round_disparity, b.protocol) == ("eth3d", None, False, "eth3d")
     assert list(true(a).masks) == ["nonocc"]
-    assert [s.name for s in find(tmp_path, "eth3d")] == ["B"]
-    assert [s.name for s in find(tmp_path, "Middlebury_V3")] == ["A"]
+    assert names(tmp_path, "eth3d") == ["B"] and names(tmp_path, "Middlebury_V3") == ["A"]
 
 
 def test_kitti(tmp_path: Path):
@@ -206,34 +168,27 @@ def test_kitti(tmp_path: Path):
     write_png(tmp_path / "k15" / "obj_map" / "000000_10.png", np.eye(6, 8, dtype=np.uint8))
     scenes = find(tmp_path)
     assert [s.name for s in scenes] == ["k12/000000_10", "k12/000001_10", "k15/000000_10", "k15/000001_10"]
-    assert [s.layout for s in scenes[1:3]] == ["kitti-2012", "kitti-2015"]
+    assert [s.layout for s in scenes[1:3]] == ["kitti-2012", "kitti-2015"] and scenes[2].protocol == "kitti_2015"
     truth = true(scenes[2])
-    assert truth.objects is not None
-    assert truth.noc is not None
     assert (truth.objects.sum(), np.isfinite(truth.noc).sum(), np.isfinite(truth.disparity).sum()) == (6, 32, 40)
-    assert scenes[2].protocol == "kitti_2015"
-    assert [s.name for s in find(tmp_path / "k15")] == ["000000_10", "000001_10"]
+    assert names(tmp_path / "k15") == ["000000_10", "000001_10"]
     assert len(find(tmp_path, pattern="000001_10")) == 2
 
 
 @pytest.mark.parametrize("meta", [
-    [1], {"disp_scale": "4"}, {"disp_scale": 0},
-    {"max_disparity": -3}, {"max_disparity": 2.5}, {"disp_scale": True},
+    [1], {"disp_scale": "4"}, {"disp_scale": 0}, {"max_disparity": -3}, {"max_disparity": 2.5}, {"disp_scale": True},
     {"min_disparity": 4, "max_disparity": 4},
 ])  # fmt: skip
 def test_broken_meta(tmp_path: Path, meta):
-    own(tmp_path / "a", meta)
-    refused(InputError, find, tmp_path / "a")
+    refused(InputError, find, own(tmp_path / "a", meta))
 
 
-@pytest.mark.parametrize("labels", [
-    '{"liver": 1, "lung": 1}', '{"=": 1}',
-    '{"liver": 1.5}',
-])  # fmt: skip
-def test_broken_names_of_labels(tmp_path: Path, labels: str):
-    for name in ("fixed.mha", "warped.mha", "mask_organs.mha"):
-        (tmp_path / name).write_text("")
-    (tmp_path / "meta.json").write_text(f'{{"labels": {{"organs": {labels}}}}}')
+@pytest.mark.parametrize("labels", [{"=": 1}, {"liver": 1, "lung": 1}, {"liver": 1.5}])
+def test_broken_names_of_labels(tmp_path: Path, labels: dict[str, float]):
+    laid(
+        tmp_path,
+        {"fixed.mha": "", "warped.mha": "", "mask_organs.mha": "", "meta.json": {"labels": {"organs": labels}}},
+    )
     refused(InputError, discover_scenes, tmp_path, VOLUMES)
 
 
@@ -255,10 +210,7 @@ def test_what_is_said_where_nothing_fits(tmp_path: Path):
 
 
 def test_sizes_must_agree(tmp_path: Path):
-    folder = own(tmp_path / "a")
-    write_png(folder / "right.png", COLOR[:5])
-    write_png(folder / "mask_nonocc.png", GREY[:5])
-    (scene,) = find(tmp_path)
+    (scene,) = find(laid(own(tmp_path / "a"), {"right.png": COLOR[:5], "mask_nonocc.png": GREY[:5]}))
     refused(InputError, load, scene)
     refused(InputError, true, scene)
 
@@ -276,30 +228,25 @@ def test_every_stereo_scene_of_the_shared_data_loads():
         truth = true(scene)
         assert truth.disparity.shape == (facts["height"], facts["width"])
         assert scene.max_disparity == facts["max_disparity"]
-        assert np.nanmin(truth.disparity) > 0
-        assert np.nanmax(truth.disparity) <= facts["max_disparity"] + 1
-        if scene.right is not None:
-            assert load(scene).shape == truth.disparity.shape
+        assert np.nanmin(truth.disparity) > 0 and np.nanmax(truth.disparity) <= facts["max_disparity"] + 1
+        assert scene.right is None or load(scene).shape == truth.disparity.shape
 
 
 def test_layouts_of_a_users_file(tmp_path: Path):
     for name in ("7", "8"):
-        write_png(tmp_path / "set" / "cam" / f"a_{name}.png", COLOR)
-        write_png(tmp_path / "set" / "other" / f"b_{name}.png", COLOR)
-    write_pfm(tmp_path / "set" / "gt" / "7.pfm", TRUTH)
-    rows = tmp_path / "mine.yaml"
-    rows.write_text(
-        "mine: {left: 'cam/a_{id}.*', right: 'other/b_{id}.*', disparity_left: 'gt/{id}.*', max_disparity: 5}"
-    )
-    first, second = find(tmp_path / "set", str(rows))
+        laid(tmp_path / "set", {f"cam/a_{name}.png": COLOR, f"other/b_{name}.png": COLOR})
+    write_pfm(tmp_path / "set/gt/7.pfm", TRUTH)
+
+    def find_by(row: str) -> list:
+        (tmp_path / "mine.yaml").write_text("mine: {left: 'cam/a_{id}.*', " + row + "}")
+        return find(tmp_path / "set", str(tmp_path / "mine.yaml"))
+
+    first, second = find_by("right: 'other/b_{id}.*', disparity_left: 'gt/{id}.*', max_disparity: 5")
     assert (first.name, first.layout, first.max_disparity, second.has_truth) == ("7", "mine", 5, False)
     np.testing.assert_array_equal(true(first).disparity, TRUTH)
-    rows.write_text("mine: {left: 'cam/a_{id}.*', decode: x.png}")  # no file, but a function that reads one
-    refused(ConfigError, find, tmp_path / "set", str(rows))
-    rows.write_text("mine: {left: 'cam/a_{id}.*', right: 'other/b_{id}.*', max_disparity: far}")
-    refused(ConfigError, find, tmp_path / "set", str(rows))
-    rows.write_text("mine: {left: 'cam/a_{id}.*', masks: 'other/b_{id}.*'}")
-    refused(ConfigError, find, tmp_path / "set", str(rows))
-    rows.write_text("mine: {left: 'cam/a_{id}.*', right: 'other/b_{id}.*', mask.glass: 'gt/{id}.*'}")
-    write_png(tmp_path / "set" / "gt" / "8.png", COLOR)
-    assert [list(each.masks) for each in find(tmp_path / "set", str(rows))] == [[], ["glass"]]
+    refused(ConfigError, find_by, "decode: x.png")  # no file, but a function that reads one
+    refused(ConfigError, find_by, "right: 'other/b_{id}.*', max_disparity: far")
+    refused(ConfigError, find_by, "masks: 'other/b_{id}.*'")
+    write_png(tmp_path / "set/gt/8.png", COLOR)
+    glass = find_by("right: 'other/b_{id}.*', mask.glass: 'gt/{id}.*'")
+    assert [list(each.masks) for each in glass] == [[], ["glass"]]
