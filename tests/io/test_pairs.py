@@ -18,6 +18,7 @@ from depthcli.io.scenes.frames import FRAMES
 from depthcli.io.scenes.pairs import PAIRS, pairs_of_patterns, scenes_of_table
 from depthcli.io.stereo_pairs import load_views
 from tests.command_line import run
+from tests.files import laid
 from tests.golden import refused
 from tests.scenes import load
 
@@ -25,70 +26,55 @@ IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)
 
 
 def put(folder: Path, *names: str) -> None:
-    for name in names:
-        write_png(folder / name, IMAGE)
+    laid(folder, dict.fromkeys(names, IMAGE))
 
 
-def named(left: Path, right: Path) -> dict[str, tuple[str | None, str | None]]:
+def named(left: Path, right: Path) -> dict[str, str]:
+    """Name of a pair -> names of its images; - is none."""
     images = {}
     for scene in pairs_of_patterns(left, right):
-        image = None if "no left image" in scene.problem else scene.left.name
-        images[scene.name] = image, scene.right.name if scene.right else None
+        image = "-" if "no left image" in scene.problem else scene.left.name
+        images[scene.name] = f"{image} {scene.right.name if scene.right else '-'}"
     return images
 
 
 def test_patterns(tmp_path: Path):
-    put(tmp_path / "left", "0001.png", "0002.png", "0004.png")
-    put(tmp_path / "right", "0001.png", "0002.png", "0003.png")
-    (tmp_path / "left" / "notes.txt").touch()
-    both = {name: (f"{name}.png", f"{name}.png") for name in ("0001", "0002")}
-    both |= {"0003": (None, "0003.png"), "0004": ("0004.png", None)}
-    assert named(tmp_path / "left/*.png", tmp_path / "right/*.png") == both
-    assert named(tmp_path / "left", tmp_path / "right") == both
-    for side in ("left", "right"):  # a folder's name is no pattern
-        (tmp_path / side).rename(tmp_path / f"{side}[1]")
-    assert named(tmp_path / "left[1]", tmp_path / "right[1]") == both
-    for side in ("left", "right"):
-        (tmp_path / f"{side}[1]").rename(tmp_path / side)
+    left, right = tmp_path / "left", tmp_path / "right"
+    put(left, "0001.png", "0002.png", "0004.png")
+    put(right, "0001.png", "0002.png", "0003.png")
+    (left / "notes.txt").touch()
+    both = {"0001": "0001.png 0001.png", "0002": "0002.png 0002.png", "0003": "- 0003.png", "0004": "0004.png -"}
+    assert named(left / "*.png", right / "*.png") == both
+    assert named(left, right) == both
     # Patterns that differ: the whole names count.
-    assert set(named(tmp_path / "left/000[12].png", tmp_path / "right/*.png")) == {"0001", "0002", "0003"}
-    put(tmp_path / "a/left", "1.png")
-    put(tmp_path / "b/left", "1.png")
-    put(tmp_path / "a/right", "1.png")
-    assert named(tmp_path / "?/left/*.png", tmp_path / "?/right/*.png") == {
-        "a/1": ("1.png", "1.png"), "b/1": ("1.png", None),
-    }  # fmt: skip
+    assert set(named(left / "000[12].png", right / "*.png")) == {"0001", "0002", "0003"}
+    strange = [side.rename(f"{side}[1]") for side in (left, right)]  # a folder's name is no pattern
+    assert named(*strange) == both
+    put(tmp_path, "a/left/1.png", "b/left/1.png", "a/right/1.png")
+    found = named(tmp_path / "?/left/*.png", tmp_path / "?/right/*.png")
+    assert found == {"a/1": "1.png 1.png", "b/1": "1.png -"}
 
 
 def test_names_that_say_the_view(tmp_path: Path):
     put(tmp_path, *(f"shot_{view}_{number}.png" for view in ("left", "right") for number in ("01", "02")))
-    put(tmp_path, "b_L.png", "b_R.png")
+    put(tmp_path, "b_L.png", "b_R.png", "l/cam_a_7.png", "l/cam_a_8.png", "r/other_7.png", "r/other_8.png")
     assert named(tmp_path / "*left*.png", tmp_path / "*right*.png") == {
-        "shot_01": ("shot_left_01.png", "shot_right_01.png"), "shot_02": ("shot_left_02.png", "shot_right_02.png"),
-    }  # fmt: skip
-    assert named(tmp_path / "*_L.png", tmp_path / "*_R.png") == {"b": ("b_L.png", "b_R.png")}
-    put(tmp_path / "l", "cam_a_7.png", "cam_a_8.png")
-    put(tmp_path / "r", "other_7.png", "other_8.png")
-    assert named(tmp_path / "l", tmp_path / "r") == {
-        "7": ("cam_a_7.png", "other_7.png"), "8": ("cam_a_8.png", "other_8.png"),
-    }  # fmt: skip
-    put(tmp_path / "x", "cat.png")
-    put(tmp_path / "y", "dog.png")
+        "shot_01": "shot_left_01.png shot_right_01.png", "shot_02": "shot_left_02.png shot_right_02.png"}  # fmt: skip
+    assert named(tmp_path / "*_L.png", tmp_path / "*_R.png") == {"b": "b_L.png b_R.png"}
+    assert named(tmp_path / "l", tmp_path / "r") == {"7": "cam_a_7.png other_7.png", "8": "cam_a_8.png other_8.png"}
+    put(tmp_path, "x/cat.png", "y/dog.png")
     refused(ConfigError, pairs_of_patterns, tmp_path / "x", tmp_path / "y")
     refused(ConfigError, pairs_of_patterns, tmp_path / "x/*.jpg", tmp_path / "y")
-    put(tmp_path / "x", "1.png", "2.png", "2.jpg")
-    put(tmp_path / "y", "1.png", "2.png")
-    assert named(tmp_path / "x", tmp_path / "y")["2"] == (None, "2.png")  # no pair is made up
+    put(tmp_path, "x/1.png", "x/2.png", "x/2.jpg", "y/1.png", "y/2.png")
+    assert named(tmp_path / "x", tmp_path / "y")["2"] == "- 2.png"  # no pair is made up
 
 
 def test_tables(tmp_path: Path):
-    put(tmp_path, "a.png", "b.png", "c.png")
     table = tmp_path / "pairs.csv"
     table.write_text("# our pairs\na.png,b.png\nsub dir/b.png , c.png\n")
-    pairs = scenes_of_table(table)
-    assert [(p.name, p.left, p.right) for p in pairs] == [
-        ("a", tmp_path / "a.png", tmp_path / "b.png"), ("b", tmp_path / "sub dir/b.png", tmp_path / "c.png"),
-    ]  # fmt: skip
+    pairs = [(p.name, p.left, p.right) for p in scenes_of_table(table)]
+    a, b, c, other = (tmp_path / name for name in ("a.png", "b.png", "c.png", "sub dir/b.png"))
+    assert pairs == [("a", a, b), ("b", other, c)]
     table.write_text("right,left,max_disparity,name,calibration\nb.png,a.png,40,one,calib.txt\nc.png,a.png,,two,\n")
     one, two = scenes_of_table(table)
     assert (one.name, one.left.name, one.max_disparity, one.calibration) == ("one", "a.png", 40, tmp_path / "calib.txt")
@@ -103,8 +89,7 @@ def test_tables(tmp_path: Path):
 def video(path: Path, shift: int, count: int = 5, rate: float = 10) -> Path:
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), rate, (96, 64))
     assert writer.isOpened()
-    noise = np.random.default_rng(0).integers(0, 255, (64, 160, 3)).astype(np.uint8)
-    noise = cv2.GaussianBlur(noise, (0, 0), 2) * 3
+    noise = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 255, (64, 160, 3)).astype(np.uint8), (0, 0), 2) * 3
     for number in range(count):
         writer.write(np.ascontiguousarray(noise[:, number + shift : number + shift + 96]))
     writer.release()
@@ -119,15 +104,12 @@ def test_videos(tmp_path: Path, tool):
     reader = cv2.VideoCapture(str(left))
     frames = [reader.read()[1][..., ::-1] for _ in range(5)]
     for number in (0, 1, 3, 2, 4):  # in any order
-        scene = scenes[number]
-        assert scene.frame_number == number
-        np.testing.assert_array_equal(load_views(scene)[0], frames[number])
-    pair = ("--left", left, "--right", right, "--max-disparity", "12")
-    assert run("stereo", "opencv-bm", *pair, "-o", tmp_path / "run", "-q") == 0
-    assert (tmp_path / "run/000004/disp_left.pfm").is_file()
-    again = tmp_path / "again"
-    assert run("stereo", "opencv-bm", *pair, "-o", again, "--scenes", "00000[24]", "-q", "--jobs", "2") == 0
-    one, other = (folder / "000004/disp_left.pfm" for folder in (tmp_path / "run", again))
+        assert scenes[number].frame_number == number
+        np.testing.assert_array_equal(load_views(scenes[number])[0], frames[number])
+    words = ("stereo", "opencv-bm", "--left", left, "--right", right, "--max-disparity", "12", "-q", "-o")
+    assert run(*words, tmp_path / "run") == 0
+    assert run(*words, tmp_path / "again", "--scenes", "00000[24]", "--jobs", "2") == 0
+    one, other = (tmp_path / folder / "000004/disp_left.pfm" for folder in ("run", "again"))
     assert one.read_bytes() == other.read_bytes()
     (tmp_path / "bad.avi").write_bytes(left.read_bytes()[:90])
     tool.told(2, "stereo", "opencv-bm", "--left", tmp_path / "bad.avi", "--right", right, "-o", tmp_path / "x")
@@ -149,25 +131,20 @@ def test_videos_of_two_lengths_are_warned_of_in_every_row(tmp_path: Path):
     assert [any("l.avi has 3 frames" in line for line in row["warnings"]) for row in report] == [True, True]
 
 
-@pytest.mark.parametrize(
-    ("rights", "warned"),
-    [
-        (range(6), 0),
-        (range(5), 5),  # one dropped, the others numbered anew
-        ((0, 1, 3, 4, 5), 0),  # the gap tells which one
-        (range(1, 7), 5),
-        (range(3), 3),  # half the rate
-    ],
-)
+@pytest.mark.parametrize(("rights", "warned"), [
+    (range(6), 0), (range(1, 7), 5),
+    (range(5), 5),  # one dropped, the others numbered anew
+    ((0, 1, 3, 4, 5), 0),  # the gap tells which one
+    (range(3), 3),  # half the rate
+])  # fmt: skip
 def test_numbered_folders_of_two_lengths_are_warned_of(tmp_path: Path, rights: Sequence[int], warned: int):
     """Named by patterns, found in folders, and color with depth."""
     put(tmp_path, *(f"{side}/f{k:03}.png" for side in ("left", "rgb") for k in range(6)))
     put(tmp_path, *(f"{side}/f{k:03}.png" for side in ("right", "depth") for k in rights))
     by_name = pairs_of_patterns(tmp_path / "left", tmp_path / "right")
-    found = [scene for scene in discover_scenes(tmp_path, PAIRS) if not scene.problem]
-    frames = [scene for scene in discover_scenes(tmp_path, FRAMES) if not scene.problem]
-    for scenes in (by_name, found, frames):
-        assert sum(any("if one was dropped" in line for line in scene.warnings) for scene in scenes) == warned
+    for scenes in (by_name, discover_scenes(tmp_path, PAIRS), discover_scenes(tmp_path, FRAMES)):
+        told = [any("if one was dropped" in line for line in scene.warnings) for scene in scenes]
+        assert sum(told) == warned
 
 
 @pytest.mark.parametrize("halves", ["left-right", "top-bottom", "mpo"])
@@ -177,7 +154,7 @@ def test_both_views_in_one_file(tmp_path: Path, halves: str, tool):
     left, right = (np.ascontiguousarray(noise[:, k : k + 80]) for k in (0, 6))
     end = "mpo" if halves == "mpo" else "png"
     (tmp_path / "in").mkdir()
-    both = tmp_path / "in" / f"a.{end}"
+    both, how = tmp_path / "in" / f"a.{end}", [] if halves == "mpo" else ["--halves", halves]
     if halves == "mpo":
         one, other = map(Image.fromarray, (left, right))
         one.save(both, "MPO", save_all=True, append_images=[other], quality=100, subsampling=0)
@@ -187,20 +164,15 @@ def test_both_views_in_one_file(tmp_path: Path, halves: str, tool):
             right = np.asarray(file.convert("RGB"))
     else:
         write_png(both, np.concatenate([left, right], axis=1 if halves == "left-right" else 0))
-    write_png(tmp_path / "l.png", left)
-    write_png(tmp_path / "r.png", right)
-    how = [] if halves == "mpo" else ["--halves", halves]
+    laid(tmp_path, {"l.png": left, "r.png": right})
     line = ["stereo", "opencv-bm", "--max-disparity", "16", "-q"]
-    assert (
-        run(*line, "--left", tmp_path / "l.png", "--right", tmp_path / "r.png", "--name", "a", "-o", tmp_path / "o")
-        == 0
-    )
-    expected = (tmp_path / "o/a/disp_left.pfm").read_bytes()
-    assert run(*line, "--left", both, *how, "-o", tmp_path / "p") == 0
-    assert (tmp_path / "p/a/disp_left.pfm").read_bytes() == expected
+    pair = ["--left", tmp_path / "l.png", "--right", tmp_path / "r.png", "--name", "a"]
+    inputs = {"o": pair, "p": ["--left", both, *how]} | ({"q": ["--left", tmp_path / "in", *how]} if how else {})
+    for output, words in inputs.items():
+        assert run(*line, *words, "-o", tmp_path / output) == 0
+        maps = [tmp_path / each / "a/disp_left.pfm" for each in ("o", output)]
+        assert maps[0].read_bytes() == maps[1].read_bytes()
     if how:
-        assert run(*line, "--left", tmp_path / "in", *how, "-o", tmp_path / "q") == 0
-        assert (tmp_path / "q/a/disp_left.pfm").read_bytes() == expected
         for wrong in (("--halves", "right-left"), ("--right", both, *how)):
             tool.told(2, *line, "--left", both, *wrong, "-o", tmp_path / "r")
         write_png(both, np.zeros((41, 81), np.uint8))
@@ -223,25 +195,20 @@ def test_layouts_of_many_pairs_in_a_folder(tmp_path: Path):
     assert scenes["0001"].calibration == tmp_path / "views/calib.txt"
     assert "no right/0002.*" in scenes["0002"].problem and "no left/0003.*" in scenes["0003"].problem
     put(tmp_path / "pairs", "0001_L.png", "0001_R.png", "0002_L.png", "notes.png")
-    scenes = find(tmp_path / "pairs")
-    assert {name: bool(scene.problem) for name, scene in scenes.items()} == {"0001": False, "0002": True}
     put(tmp_path / "both", "left/0001_L.png", "right/0001_R.png", "left/0002_L.png")
-    scenes = find(tmp_path / "both")
-    assert {name: bool(scene.problem) for name, scene in scenes.items()} == {"0001": False, "0002": True}
-    put(tmp_path / "cameras", "camera_left/a.png", "camera_right/a.png")
-    assert find(tmp_path / "cameras")["a"].right == tmp_path / "cameras/camera_right/a.png"
-    put(tmp_path / "starts", "left_a.png", "right_a.png")
-    assert find(tmp_path / "starts")["a"].right == tmp_path / "starts/right_a.png"
+    for folder in ("pairs", "both"):
+        found = {name: bool(scene.problem) for name, scene in find(tmp_path / folder).items()}
+        assert found == {"0001": False, "0002": True}
+    put(tmp_path, "cameras/camera_left/a.png", "cameras/camera_right/a.png", "starts/left_a.png", "starts/right_a.png")
+    for right in ("cameras/camera_right/a.png", "starts/right_a.png"):
+        assert find(tmp_path / right.partition("/")[0])["a"].right == tmp_path / right
     sequences = tmp_path / "image_0/sequences"  # the name above them says nothing
-    for view in ("image_0", "image_1"):
-        put(sequences / "00" / view, "000000.png", "000001.png")
-    put(sequences / "01/image_2", "000000.png")
-    put(sequences / "01/image_3", "000000.png")
+    put(sequences / "00", *(f"image_{view}/00000{k}.png" for view in (0, 1) for k in (0, 1)))
+    put(sequences / "01", "image_2/000000.png", "image_3/000000.png")
     (sequences / "00/calib.txt").write_text("P0: 1\n")
     scenes = find(sequences)
     assert sorted(scenes) == ["00/000000", "00/000001", "01/000000"]
-    assert scenes["00/000001"].cameras == (0, 1)
-    assert scenes["01/000000"].cameras == (2, 3)
+    assert (scenes["00/000001"].cameras, scenes["01/000000"].cameras) == ((0, 1), (2, 3))
     assert {scene.layout for scene in scenes.values()} == {"kitti-odometry"}
 
 
@@ -254,34 +221,32 @@ def test_what_a_run_or_a_scene_holds_are_no_pairs(tmp_path: Path):
 
 @pytest.mark.slow
 def test_the_command_line(tmp_path: Path, made_scenes: Path, tool):
-    for scene in ("planes_0", "planes_1"):
-        for view in ("left", "right"):
-            (tmp_path / view).mkdir(exist_ok=True)
-            (tmp_path / view / f"{scene}.png").write_bytes((made_scenes / scene / f"{view}.png").read_bytes())
-    (tmp_path / "pairs.csv").write_text("left/planes_0.png,right/planes_0.png\nleft/planes_1.png,right/planes_1.png\n")
-    how = ("--max-disparity", "12", "-q")
+    for name in ("planes_0", "planes_1"):
+        laid(tmp_path, {f"{s}/{name}.png": (made_scenes / name / f"{s}.png").read_bytes() for s in ("left", "right")})
+    table = tmp_path / "pairs.csv"
+    table.write_text("left/planes_0.png,right/planes_0.png\nleft/planes_1.png,right/planes_1.png\n")
+    stereo, how = ("stereo", "opencv-bm"), ("--max-disparity", "12", "-q", "-o")
     globs = ("--left", tmp_path / "left/*.png", "--right", tmp_path / "right/*.png")
     ways = {
         "scenes": ("-i", made_scenes, "--scenes", "planes_[01]"), "globs": globs, "views": ("-i", tmp_path),
-        "table": ("-i", tmp_path / "pairs.csv"),
+        "table": ("-i", table),
     }  # fmt: skip
     for name, given in ways.items():
-        assert run("stereo", "opencv-bm", *given, *how, "-o", tmp_path / name) == 0
+        assert run(*stereo, *given, *how, tmp_path / name) == 0
         for file in ("planes_0/disp_left.pfm", "planes_1/disp_left.pfm"):
             assert (tmp_path / name / file).read_bytes() == (tmp_path / "scenes" / file).read_bytes()
-    tool.told(2, "stereo", "opencv-bm", *globs, *how, "-o", tmp_path / "x", "--name", "a")
-    assert run("stereo", "opencv-bm", *globs, *how, "-o", tmp_path / "x", "--scenes", "absent*") == 2
-    assert run("stereo", "opencv-bm", "-i", tmp_path / "pairs.csv", *how, "-o", tmp_path / "x", "--evaluate") == 2
-    assert run("stereo", "opencv-bm", "-i", "-", *how, "-o", tmp_path / "x", "--evaluate") == 2
-    assert run("stereo", "opencv-bm", "-i", tmp_path / "pairs.csv", *how, "-o", "-") == 2
-    assert run("refine-kinect", "nearest", "-i", tmp_path / "pairs.csv", "-o", tmp_path / "x") == 2
+    tool.told(2, *stereo, *globs, *how, tmp_path / "x", "--name", "a")
+    assert run(*stereo, *globs, *how, tmp_path / "x", "--scenes", "absent*") == 2
+    for given in (table, "-"):
+        assert run(*stereo, "-i", given, *how, tmp_path / "x", "--evaluate") == 2
+    assert run(*stereo, "-i", table, *how, "-") == 2
+    assert run("refine-kinect", "nearest", "-i", table, "-o", tmp_path / "x") == 2
 
 
 @pytest.mark.parametrize("separator", [",", "\t"])
-def test_a_table_from_the_standard_input(separator: str, tmp_path: Path, monkeypatch):
-    rows = [["left", "right", "name"], ["a.png", "b.png", "first"], ["c.png", "d.png", "second"]]
-    text = "".join(f"{separator.join(row)}\n" for row in rows).encode()
-    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text)))
+def test_a_table_from_the_standard_input(separator: str, monkeypatch):
+    text = "left,right,name\na.png,b.png,first\nc.png,d.png,second\n".replace(",", separator)
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
     first, second = scenes_of_table(Path("-"))
     assert (first.name, first.left, first.right) == ("first", Path("a.png"), Path("b.png"))
     assert second.name == "second"
