@@ -16,15 +16,8 @@ from depthcli.core.errors import InputError
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols.depth import DepthProtocol
 from depthcli.evaluation.protocols.eth3d import Eth3dProtocol
+from depthcli.io import rgbd_frames
 from depthcli.io.formats.images import read_grey, write_png
-from depthcli.io.rgbd_frames import (
-    KinectCalibration,
-    frame_size,
-    load_infrared_frame,
-    load_sparse_frame,
-    read_kinect_calibration,
-    read_kinect_raw,
-)  # fmt: skip
 from depthcli.io.scenes import RgbIrScene, SequenceScene, sequences
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.frames import FRAMES
@@ -67,8 +60,8 @@ def test_our_layout(tmp_path: Path):
     (scene,) = find(laid(tmp_path / "c", {"depth.png": DEPTH}))
     frame = load(scene)
     assert not frame.has_color and (frame.color == 128).all() and frame.shape == DEPTH.shape
-    assert frame_size(scene) == DEPTH.shape and set(scene.input_files) == {"depth"}
-    refused(InputError, load_sparse_frame, scene)
+    assert rgbd_frames.frame_size(scene) == DEPTH.shape and set(scene.input_files) == {"depth"}
+    refused(InputError, rgbd_frames.load_sparse_frame, scene)
 
 
 def test_frames_in_folders_of_color_and_depth(tmp_path: Path):
@@ -255,7 +248,7 @@ def test_triangulation_is_its_own_inverse():
 def test_raw_codes_follow_the_thesis_s_formula():
     """Eq. 1.1, Z = Zr / (1 + Zr / (f b) d): d counts from the code of the reference plane."""
     camera = Camera(np.eye(3))
-    model = KinectCalibration(camera, camera, np.eye(3), np.zeros(3), offset=1090.0, factor=350.0)
+    model = rgbd_frames.KinectCalibration(camera, camera, np.eye(3), np.zeros(3), offset=1090.0, factor=350.0)
     raw = np.array([[390, 740, 1089, 1090, 2047]], np.uint16)
     reference = 350.0 / (1090 - 740)
     shift = (740 - raw[0, :3].astype(float)) / 350.0
@@ -310,16 +303,16 @@ BLACK = np.zeros((4, 6, 3), np.uint8)
 def test_sparse_depth_has_the_codes_of_the_depth(tmp_path: Path):
     sparse = np.where(np.eye(4, 6, dtype=bool), np.uint16(500), np.uint16(0))
     laid(tmp_path, {"color.png": BLACK, "depth.png": MILLIMETERS, "sparse.png": sparse})
-    frame = load_sparse_frame(find(tmp_path)[0])
+    frame = rgbd_frames.load_sparse_frame(find(tmp_path)[0])
     np.testing.assert_allclose(frame.depth, FLAT)
     np.testing.assert_allclose(frame.sparse, np.where(sparse, 0.5, np.nan))
     assert frame.sparse_confidence is None
     write_png(tmp_path / "sparse_confidence.png", np.full((4, 6), 51, np.uint8))
-    np.testing.assert_allclose(load_sparse_frame(find(tmp_path)[0]).sparse_confidence, 0.2)
+    np.testing.assert_allclose(rgbd_frames.load_sparse_frame(find(tmp_path)[0]).sparse_confidence, 0.2)
     laid(tmp_path / "b", {"color.png": BLACK, "depth.pfm": FLAT})
     for useless in (None, np.full((4, 6), np.nan, np.float32), np.ones((4, 5), np.float32)):
         laid(tmp_path / "b", {} if useless is None else {"sparse.pfm": useless})
-        refused(InputError, load_sparse_frame, find(tmp_path / "b")[0])
+        refused(InputError, rgbd_frames.load_sparse_frame, find(tmp_path / "b")[0])
 
 
 @pytest.mark.parametrize("real", [True, False])
@@ -363,10 +356,10 @@ def test_every_folder_runs_as_it_lies_there():
 def test_raw_depth_lies_on_the_checkerboards():
     """Within 1.2 mm of the residual that the set's own calibration has."""
     folder = DATA / "kinect_v1_raw" / "herrera"
-    calibration = read_kinect_calibration(folder / "calib.json")
+    calibration = rgbd_frames.read_kinect_calibration(folder / "calib.json")
     for number, frame in json.loads((folder / "calib.json").read_text())["frames"].items():
         plane = read_grey(folder / f"plane_depth_gt_{number}.png").astype(float)
-        raw = read_kinect_raw(folder / f"disparity_{number}.pgm")
+        raw = rgbd_frames.read_kinect_raw(folder / f"disparity_{number}.pgm")
         distance, plain = (
             float(np.nanmedian(np.abs(1000 * model.depth_of_raw(raw) - plane)[plane > 0]))
             for model in (calibration, replace(calibration, beta=None))
@@ -396,7 +389,7 @@ def write_infrared(folder, calibration=RIG, infrared=(28, 36), dtype=np.uint8):
 def loaded(folder):
     (scene,) = find(folder)
     assert isinstance(scene, RgbIrScene) and scene.layout == "rgb-ir"
-    return load_infrared_frame(scene)
+    return rgbd_frames.load_infrared_frame(scene)
 
 
 def test_a_rig_and_a_rectified_pair(tmp_path):
@@ -437,7 +430,7 @@ def test_a_scale_that_is_given_holds_for_every_kind_of_file(tmp_path: Path, scal
     given = scene.with_scale(scale)
     laid(tmp_path / "a", {"meta.json": {"depth_scale": scale}})
     for one in (given, *find(tmp_path)):
-        for depth in (load(one).depth, true(one).depth, load_sparse_frame(one).sparse):
+        for depth in (load(one).depth, true(one).depth, rgbd_frames.load_sparse_frame(one).sparse):
             np.testing.assert_array_equal(depth[1:], 1)
 
 
