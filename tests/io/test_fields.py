@@ -4,6 +4,7 @@ import struct
 import tempfile
 import warnings
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ import pytest
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
 from depthcli.io.formats.fields import in_millimeters, read_field, read_landmarks, read_moving_transform, read_transform
-from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.volumes import itk_image, write_array
 from tests.golden import refused, warned
 
@@ -22,16 +22,13 @@ with warnings.catch_warnings():
 
 GRID = Grid((20, 18, 16), (1.2, 0.9, 2.0), (-30.0, 14.0, 5.0), (-1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
 POINTS = GRID.to_point(np.array([[4.0, 5.0, 6.0], [8.0, 9.0, 10.0], [10.5, 7.25, 3.5]]))
-
-
-def displacement():
-    """(Z, Y, X, 3) smooth, mm, LPS."""
-    z, y, x = np.meshgrid(*(np.linspace(0, 1, n) for n in GRID.shape), indexing="ij")
-    return np.stack([2 + 2 * np.sin(3 * y), -1.5 + z, 3 * x - 1], axis=-1).astype(np.float32)
-
-
-def known_warp():
-    return SimpleITK.DisplacementFieldTransform(itk_image(displacement().astype(np.float64), GRID))
+RAS = np.array([-1, -1, 1], np.float32)
+z, y, x = np.meshgrid(*(np.linspace(0, 1, n) for n in GRID.shape), indexing="ij")
+FIELD = np.stack([2 + 2 * np.sin(3 * y), -1.5 + z, 3 * x - 1], axis=-1).astype(np.float32)  # mm, LPS
+IN_VOXELS = (FIELD @ GRID.axes) / np.array(GRID.spacing)
+POSITIONS = (GRID.to_point(np.indices(GRID.shape, float).reshape(3, -1).T).reshape(FIELD.shape) + FIELD) * RAS
+WARP = SimpleITK.DisplacementFieldTransform(itk_image(FIELD.astype(np.float64), GRID))
+EMPTY = Volume(np.zeros(GRID.shape, np.float32), GRID)
 
 
 def same(found, expected, atol):
@@ -40,12 +37,11 @@ def same(found, expected, atol):
         np.testing.assert_allclose(found.TransformPoint(point), expected.TransformPoint(point), atol=atol)
 
 
-def volumes():
-    """A moving volume, and the fixed one that the displacement makes of it."""
-    rng = np.random.default_rng(0)
-    wide = rng.standard_normal(GRID.shape).astype(np.float32)
+def volumes(warp=WARP):
+    """A fixed volume that the warp makes of the moving one, and that one."""
+    wide = np.random.default_rng(0).standard_normal(GRID.shape).astype(np.float32)
     image = SimpleITK.SmoothingRecursiveGaussian(itk_image(wide, GRID), 2.0)
-    warped = SimpleITK.Resample(image, image, known_warp(), SimpleITK.sitkLinear)
+    warped = SimpleITK.Resample(image, image, warp, SimpleITK.sitkLinear)
     return (Volume(SimpleITK.GetArrayFromImage(each), GRID) for each in (warped, image))
 
 
@@ -59,76 +55,56 @@ def nifti(path, values, name=b"", p1=0.0, dims=5, grid=GRID):
     struct.pack_into("<f", data, 56, p1)
     data[328 : 328 + len(name)] = name
     path.write_bytes(bytes(data) + np.ascontiguousarray(np.moveaxis(values, -1, 0), "<f4").tobytes())
+    return path
 
 
-def in_voxels():
-    return (displacement() @ GRID.axes) / np.array(GRID.spacing)
+def voxelmorph(path, values):
+    np.savez(path, values.transpose(2, 1, 0, 3).astype(np.float16).astype(np.float32))
 
 
-def positions():
-    z, y, x = np.meshgrid(*(np.arange(n, dtype=float) for n in GRID.shape), indexing="ij")
-    places = np.stack([z.ravel(), y.ravel(), x.ravel()], axis=1)
-    return (GRID.to_point(places).reshape(displacement().shape) + displacement()) * np.array([-1, -1, 1])
+def itk(path, values):
+    write_array(path, GRID, values)
 
 
-RAS = np.array([-1, -1, 1], np.float32)
+# What programs write of the displacement: the file, how, its values; and the convention that is found in it.
+KINDS = {
+    ".mha": ("field.mha", itk, FIELD, "itk"),
+    ".nrrd": ("field.nrrd", itk, FIELD, "itk"),
+    ".nii.gz": ("field.nii.gz", itk, FIELD, "itk"),
+    "ants": ("field.nii", nifti, FIELD, "itk"),
+    "niftyreg displacement": ("field.nii", partial(nifti, name=b"NREG_TRANS", p1=1.0), FIELD * RAS, "niftyreg"),
+    "niftyreg positions": ("field.nii", partial(nifti, name=b"NREG_TRANS", p1=0.0), POSITIONS, "positions"),
+    "spm": ("field.nii", partial(nifti, name=b"Mapping"), POSITIONS, "positions"),
+    "learn2reg": ("field.nii", partial(nifti, dims=4), IN_VOXELS, "voxels"),
+    "voxelmorph": ("disp.npz", voxelmorph, IN_VOXELS, "voxels"),
+}
 
 
-def written(kind, folder):
-    """The displacement as a program writes it."""
-    if kind in (".mha", ".nrrd", ".nii.gz"):
-        write_array(folder / f"field{kind}", GRID, displacement())
-        return folder / f"field{kind}"
-    if kind == "voxelmorph":
-        np.savez(folder / "disp.npz", in_voxels().transpose(2, 1, 0, 3).astype(np.float16).astype(np.float32))
-        return folder / "disp.npz"
-    file = folder / "field.nii"
-    if kind == "ants":
-        nifti(file, displacement())
-    elif kind == "niftyreg displacement":
-        nifti(file, displacement() * RAS, b"NREG_TRANS", 1.0)
-    elif kind == "niftyreg positions":
-        nifti(file, positions(), b"NREG_TRANS", 0.0)
-    elif kind == "spm":
-        nifti(file, positions(), b"Mapping")
-    else:
-        nifti(file, in_voxels(), dims=4)
-    return file
-
-
-NAMED = {
-    ".mha": "itk", ".nrrd": "itk", ".nii.gz": "itk", "ants": "itk", "niftyreg displacement": "niftyreg",
-    "niftyreg positions": "positions", "spm": "positions", "learn2reg": "voxels", "voxelmorph": "voxels",
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", list(NAMED))
-class TestFields:
-    def test_says_what_it_is_and_means_the_same(self, tmp_path, kind):
-        field = read_field(written(kind, tmp_path), GRID)
-        assert field.named == NAMED[kind]
-        slack = 5e-3 if kind == "voxelmorph" else 1e-4
-        np.testing.assert_allclose(in_millimeters(field, field.named), displacement(), atol=slack)
-
-    def test_maps_points_as_simpleitk_does(self, tmp_path, kind):
-        fixed, moving = volumes()
-        transform = read_moving_transform(None, written(kind, tmp_path), "auto", fixed, moving)
-        same(transform, known_warp(), 1e-2)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_field_says_what_it_is_and_maps_points_as_simpleitk_does(tmp_path, kind):
+    name, write, values, named = KINDS[kind]
+    write(tmp_path / name, values)
+    field = read_field(tmp_path / name, GRID)
+    assert field.named == named
+    slack = 5e-3 if kind == "voxelmorph" else 1e-4
+    np.testing.assert_allclose(in_millimeters(field, field.named), FIELD, atol=slack)
+    same(read_moving_transform(None, tmp_path / name, "auto", *volumes()), WARP, 1e-2)
 
 
 def test_auto_refuses_what_another_reading_explains_better(tmp_path):
     fixed, moving = volumes()
-    wrong = tmp_path / "field.nii"
-    nifti(wrong, displacement() * RAS)  # NiftyReg's numbers under ANTs' header
+    wrong = nifti(tmp_path / "field.nii", FIELD * RAS)  # NiftyReg's numbers under ANTs' header
     refused(InputError, read_moving_transform, None, wrong, "auto", fixed, moving)
-    same(read_moving_transform(None, wrong, "niftyreg", fixed, moving), known_warp(), 1e-3)
-    nifti(wrong, in_voxels())  # voxels under a header that says mm
+    same(read_moving_transform(None, wrong, "niftyreg", fixed, moving), WARP, 1e-3)
+    nifti(wrong, IN_VOXELS)  # voxels under a header that says mm
     refused(InputError, read_moving_transform, None, wrong, "auto", fixed, moving)
+    nameless = nifti(tmp_path / "y_f.nii", POSITIONS)
+    refused(InputError, read_moving_transform, None, nameless, "auto", moving, fixed)  # exchanged: none fits well
+    same(read_moving_transform(None, nameless, "positions", fixed, moving), WARP, 1e-3)
 
 
-def check(file, expected):
-    fixed = Volume(np.zeros(GRID.shape, np.float32), GRID)
-    same(read_moving_transform(file, None, "auto", fixed, None), expected, 1e-6)
+def check(file, expected, field=None, atol=1e-6):
+    same(read_moving_transform(file, field, "auto", EMPTY, None), expected, atol)
 
 
 def affine():
@@ -148,16 +124,11 @@ def spline():
 
 @pytest.mark.parametrize("suffix", [".tfm", ".txt", ".h5", ".mat"])
 def test_itk_transform_files(tmp_path, suffix):
-    SimpleITK.WriteTransform(affine(), str(tmp_path / f"t{suffix}"))
-    check(tmp_path / f"t{suffix}", affine())
-
-
-def test_ants_affine_after_its_warp(tmp_path):
-    SimpleITK.WriteTransform(affine(), str(tmp_path / "t.mat"))
-    nifti(tmp_path / "field.nii", displacement())
-    fixed = Volume(np.zeros(GRID.shape, np.float32), GRID)
-    found = read_moving_transform(tmp_path / "t.mat", tmp_path / "field.nii", "auto", fixed, None)
-    same(found, SimpleITK.CompositeTransform([affine(), known_warp()]), 1e-4)
+    file = tmp_path / f"t{suffix}"
+    SimpleITK.WriteTransform(affine(), str(file))
+    check(file, affine())
+    composed = SimpleITK.CompositeTransform([affine(), WARP])  # as of ANTs: an affine after its warp
+    check(file, composed, nifti(tmp_path / "field.nii", FIELD), 1e-4)
 
 
 def elastix(path, name, parameters, initial="NoInitialTransform", **fields):
@@ -196,9 +167,8 @@ def test_elastix_chain_of_affine_and_spline(tmp_path):
 
 
 def test_elastix_chain_that_comes_back(tmp_path):
-    file = tmp_path / "t.txt"
-    elastix(file, "TranslationTransform", [1.0, 2.0, 3.0], "t.txt")
-    refused(InputError, read_moving_transform, file, None, "auto", Volume(np.zeros(GRID.shape, np.float32), GRID), None)
+    file = elastix(tmp_path / "t.txt", "TranslationTransform", [1.0, 2.0, 3.0], "t.txt")
+    refused(InputError, read_moving_transform, file, None, "auto", EMPTY, None)
 
 
 def test_a_damaged_field_is_named_once(tmp_path):
@@ -209,66 +179,53 @@ def test_a_damaged_field_is_named_once(tmp_path):
         assert str(caught.value).count(name) == 1
 
 
-@pytest.mark.parametrize("kind", ["itk.mha", "itk.nii", "voxels.nii"])
-def test_displacements_that_are_no_numbers_blame_their_file(tmp_path, kind):
-    values = displacement()
+@pytest.mark.parametrize(("name", "write"), [
+    ("itk.mha", itk), ("itk.nii", nifti), ("voxels.nii", partial(nifti, dims=4)),
+])  # fmt: skip
+def test_displacements_that_are_no_numbers_blame_their_file(tmp_path, name, write):
+    values = FIELD.copy()
     values[3, 4, 5, 1], values[6] = np.nan, np.inf
-    path = tmp_path / kind
-    if kind == "itk.mha":
-        write_array(path, GRID, values)
-    else:
-        nifti(path, values, dims=4 if kind == "voxels.nii" else 5)
-    fixed, moving = volumes()
-    refused(InputError, read_moving_transform, None, path, "auto", fixed, moving)
+    write(tmp_path / name, values)
+    refused(InputError, read_moving_transform, None, tmp_path / name, "auto", *volumes())
 
 
 @pytest.mark.parametrize("convention", ["auto", "itk"])
 @pytest.mark.parametrize("way", ["inverted", "negated"])
 def test_a_field_that_fits_better_the_other_way_round_is_said(tmp_path, convention, way):
-    fixed, moving = volumes()
-    field = displacement()
+    right, wrong, field = tmp_path / "right.mha", tmp_path / "wrong.mha", -FIELD
     if way == "inverted":  # the field of a registration of the moving volume to the fixed one
-        image = SimpleITK.InvertDisplacementField(itk_image(field.astype(np.float64), GRID), 50)
+        image = SimpleITK.InvertDisplacementField(itk_image(FIELD.astype(np.float64), GRID), 50)
         field = SimpleITK.GetArrayFromImage(image).astype(np.float32)
-    write_array(tmp_path / "right.mha", GRID, displacement())
-    write_array(tmp_path / "wrong.mha", GRID, -field if way == "negated" else field)
-    with collected_warnings() as lines:
-        read_moving_transform(None, tmp_path / "right.mha", convention, fixed, moving)
-        assert not lines
-        read_moving_transform(None, tmp_path / "wrong.mha", convention, fixed, moving)
-    (line,) = lines
+    itk(right, FIELD)
+    itk(wrong, field)
+    assert not warned(read_moving_transform, None, right, convention, *volumes())[1]
+    _, (line,) = warned(read_moving_transform, None, wrong, convention, *volumes())
     assert "wrong.mha" in line and way in line
 
 
 def test_an_inverted_transform_is_said(tmp_path):
-    rng = np.random.default_rng(0)
-    fixed = itk_image(rng.standard_normal(GRID.shape).astype(np.float32), GRID)
-    fixed = SimpleITK.SmoothingRecursiveGaussian(fixed, 2.0)
-    moving = SimpleITK.Resample(fixed, fixed, affine(), SimpleITK.sitkLinear)
-    both = [Volume(SimpleITK.GetArrayFromImage(image), GRID) for image in (fixed, moving)]
+    moving, fixed = volumes(affine())
     for name, transform in (("right", affine().GetInverse()), ("wrong", affine())):
         SimpleITK.WriteTransform(transform, str(tmp_path / f"{name}.tfm"))
-        _, lines = warned(read_moving_transform, tmp_path / f"{name}.tfm", None, "auto", *both)
+        _, lines = warned(read_moving_transform, tmp_path / f"{name}.tfm", None, "auto", fixed, moving)
         assert [("inverted" in line) for line in lines] == [True] * (name == "wrong")
 
 
 def lines_about(values, grid):
     """What is said of a field, (Z, Y, X, 3) mm on ``grid``, of the known volumes."""
-    with tempfile.TemporaryDirectory() as folder, collected_warnings() as lines:
+    with tempfile.TemporaryDirectory() as folder:
         write_array(Path(folder, "field.mha"), grid, values.astype(np.float32))
-        read_moving_transform(None, Path(folder, "field.mha"), "itk", *volumes())
-    return lines
+        return warned(read_moving_transform, None, Path(folder, "field.mha"), "itk", *volumes())[1]
 
 
 def test_a_field_that_does_not_belong_to_the_volumes_is_said():
-    away = [replace(GRID, origin=(GRID.origin[0] + mm, *GRID.origin[1:])) for mm in (-8.0, 500.0)]
-    assert not lines_about(displacement(), GRID)
-    assert "outside the field" in lines_about(displacement(), away[0])[0]
-    refused(InputError, lines_about, displacement(), away[1])
-    assert "unit mm" in lines_about(displacement() / 1000, GRID)[0]
-    wild = np.random.default_rng(0).uniform(-8, 8, displacement().shape)
-    assert "left out" in lines_about(wild, GRID)[0]
-    refused(InputError, lines_about, displacement() + 500, GRID)
+    near, far = (replace(GRID, origin=(GRID.origin[0] + mm, *GRID.origin[1:])) for mm in (-8.0, 500.0))
+    assert not lines_about(FIELD, GRID)
+    assert "outside the field" in lines_about(FIELD, near)[0]
+    refused(InputError, lines_about, FIELD, far)
+    assert "unit mm" in lines_about(FIELD / 1000, GRID)[0]
+    assert "left out" in lines_about(np.random.default_rng(0).uniform(-8, 8, FIELD.shape), GRID)[0]
+    refused(InputError, lines_about, FIELD + 500, GRID)
 
 
 def test_landmarks_in_every_unit(tmp_path):
@@ -286,31 +243,21 @@ def test_control_points_of_niftyreg(tmp_path, order, kind):
     grid = Grid((9, 8, 11), spacing, tuple(start), GRID.direction)
     shifts = np.random.default_rng(0).uniform(-3, 3, (*grid.shape, 3))
     places = grid.to_point(np.indices(grid.shape, float).reshape(3, -1).T).reshape(shifts.shape)
-    nifti(tmp_path / "cpp.nii", (places + shifts) * RAS, b"NREG_TRANS", kind, grid=grid)
+    file = nifti(tmp_path / "cpp.nii", (places + shifts) * RAS, b"NREG_TRANS", kind, grid=grid)
     parts = [itk_image(np.ascontiguousarray(shifts[..., axis]), grid) for axis in range(3)]
-    fixed = Volume(np.zeros(GRID.shape, np.float32), GRID)
     for convention in ("auto", "niftyreg"):
-        found = read_moving_transform(None, tmp_path / "cpp.nii", convention, fixed, None)
+        found = read_moving_transform(None, file, convention, EMPTY, None)
         same(found, SimpleITK.BSplineTransform(parts, order), 1e-4)
-    refused(InputError, read_moving_transform, None, tmp_path / "cpp.nii", "itk", fixed, None)
+    refused(InputError, read_moving_transform, None, file, "itk", EMPTY, None)
 
 
-@pytest.mark.parametrize("kind", [3.0, 4.0, 5.0, 7.0, 0.4])
-def test_velocities_and_unknown_kinds_of_niftyreg_are_refused(tmp_path, kind):
-    nifti(tmp_path / "f.nii", displacement(), b"NREG_TRANS", kind)
-    refused(InputError, read_field, tmp_path / "f.nii", GRID)
-
-
-def test_positions_without_a_name_are_found_and_can_be_said(tmp_path):
-    moving, fixed = volumes()
-    nifti(tmp_path / "y_f.nii", positions())
-    refused(InputError, read_moving_transform, None, tmp_path / "y_f.nii", "auto", fixed, moving)
-    same(read_moving_transform(None, tmp_path / "y_f.nii", "positions", fixed, moving), known_warp(), 1e-3)
+def test_velocities_and_unknown_kinds_of_niftyreg_are_refused(tmp_path):
+    for kind in (3.0, 4.0, 5.0, 7.0, 0.4):
+        refused(InputError, read_field, nifti(tmp_path / "f.nii", FIELD, b"NREG_TRANS", kind), GRID)
 
 
 def test_elastix_without_direction_cosines(tmp_path):
     turned = Grid(GRID.size, GRID.spacing, (4.0, 2.0, 1.0), (0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0))
-    fixed, moving = (Volume(np.zeros(GRID.shape, np.float32), grid) for grid in (GRID, turned))
     parameters = [1, 0.1, 0, 0, 1.05, 0, 0.02, 0, 1, 5, -4, 3]
     fields = {"CenterOfRotationPoint": "1 2 3", "UseDirectionCosines": '"false"'}
     file = elastix(tmp_path / "t.txt", "AffineTransform", parameters, **fields)
@@ -322,6 +269,6 @@ def test_elastix_without_direction_cosines(tmp_path):
         expected = turned.to_point(moved[None, ::-1])[0]
         (point,) = GRID.to_point(np.array([index]))
         np.testing.assert_allclose(transform.TransformPoint(point.tolist()), expected, atol=1e-9)
-    refused(InputError, read_moving_transform, file, None, "auto", fixed, None)
+    refused(InputError, read_moving_transform, file, None, "auto", EMPTY, None)
     cyclic = elastix(tmp_path / "c.txt", "AffineTransform", parameters, UseCyclicTransform='"true"')
-    refused(InputError, read_moving_transform, cyclic, None, "auto", fixed, moving)
+    refused(InputError, read_moving_transform, cyclic, None, "auto", EMPTY, replace(EMPTY, grid=turned))
