@@ -16,10 +16,10 @@ from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.networks import network_path
 from depthcli.methods.stereo.cost.census import Census
+from depthcli.testing.inputs import shifted_pair
 from tests.command_line import Tool, run
 from tests.golden import refused
 from tests.methods.stereo._networks import block_matcher, has_onnx, local_features
-from tests.methods.stereo._pairs import shifted_pair
 
 needs_onnx = pytest.mark.skipif(not has_onnx(), reason="onnxruntime or onnx is not installed")
 

@@ -18,7 +18,7 @@ import pytest
 from depthcli.core.frames import StereoPair
 from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import write_png
-from tests.methods.stereo._pairs import shifted_pair
+from depthcli.testing.inputs import shifted_pair
 
 ROOT = Path(__file__).parents[2]
 NEW = Path(__file__).parent / "new_files"

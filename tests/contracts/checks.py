@@ -14,13 +14,14 @@ from depthcli.kernels.winners import winners
 from depthcli.methods.registration.search import search
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.methods.stereo.volume import CostVolume
-from depthcli.testing import optimization, refinement
+from depthcli.testing import cost, optimization, refinement
 from depthcli.testing.inputs import TINY, assert_pure, blocky_pair, changed, inside, random_volume, shifted_pair
 from tests.contracts.inputs import blobs, gaps, glass, random_proposals, soft_volume
 from tests.golden import refused
 
 CHECKS: dict[str, list[Callable[[Any], None]]] = {
     "methods.stereo.boundary": list(optimization.BOUNDARY_CHECKS),
+    "methods.stereo.cost": list(cost.CHECKS),
     "methods.stereo.optimization": list(optimization.OPTIMIZER_CHECKS),
     "methods.stereo.refinement": list(refinement.CHECKS),
 }

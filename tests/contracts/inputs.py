@@ -16,6 +16,10 @@ from depthcli.simulate.stereo_scenes import SyntheticScene
 from depthcli.testing.inputs import blocky_pair, random_volume
 
 KINDS = ("median", "own", "local", "felzenszwalb")
+COMBINED = {"method": "combined", "parts": [
+    {"cost": name, "lambda": scale} for name, scale in (("absolute_difference", 10), ("census", 30), ("gradient", 4))
+]}  # fmt: skip
+"""A combined cost, which has no default parts."""
 NOISE = 0.004
 """Standard deviation of the samples of :func:`glass`, meters."""
 

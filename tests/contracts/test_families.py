@@ -9,18 +9,24 @@ import pytest
 from numpy.typing import NDArray
 
 from depthcli.commands._options import SampleOptions
+from depthcli.core.frames import StereoPair
 from depthcli.core.method import Family
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.methods.fusion.choice.energy import neighbor_weights
+from depthcli.methods.stereo.cost.census import Census
+from depthcli.methods.stereo.volume import CostVolume
 from depthcli.simulate.samples import SAMPLE_KINDS, sample_scenes
 from depthcli.simulate.stereo_scenes import KINDS
+from depthcli.testing import check_cost_measure
 from depthcli.testing.optimization import SMOOTHNESS_CHECKS, Smoothness
 from tests.contracts.checks import CHECKS
+from tests.contracts.inputs import COMBINED
 from tests.contracts.layouts import check_layout
 from tests.golden import same_figures
 from tests.scenes import load as load_scene
 
 FIELDS: dict[str, dict[str, Any]] = {
+    "combined": COMBINED,
     "local": {"cost": "census", "aggregation": {"method": "constant_window", "window": 5}},
     "segments": {"cost": "census"},
 }
@@ -31,6 +37,7 @@ MEMBERS = [
     for name in Family.of(f"depthcli.{package}").own_names
     if name not in NEED_FILES
     for check in checks
+    if (name, check.__name__) != ("combined", "compares_levels_is_true")  # it compares what its parts compare
 ]
 
 
@@ -49,6 +56,45 @@ def test_smoothness(term: Smoothness, check: Callable[[Any], None]):
 def test_methods(package: str, name: str, check: Callable[[Any], None]):
     family = Family.of(f"depthcli.{package}")
     check(family.parse({family.key: name, **FIELDS.get(name, {})}, None))
+
+
+def same(volume: CostVolume) -> CostVolume:
+    return volume
+
+
+def shuffled(volume: CostVolume) -> CostVolume:
+    costs = np.random.default_rng().permuted(volume.costs, axis=2)
+    return CostVolume(np.ascontiguousarray(costs), volume.scale)
+
+
+def wide(volume: CostVolume) -> CostVolume:
+    return CostVolume(volume.costs.astype(np.float32), volume.scale)
+
+
+def one_infinite(volume: CostVolume) -> CostVolume:
+    found = wide(volume)
+    found.costs[10:11, 10:11, 1] = np.inf  # inside larger images alone
+    return found
+
+
+def failing(volume: CostVolume) -> CostVolume:
+    raise KeyError("no such thing")
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    (one_infinite, ".* infinite"), (wide, ".* bytes_per_cost"), (failing, ".* KeyError"),
+    (shuffled, "true_shift_is_cheapest"), (same, r"costs_depend_on_the_halo_alone \(A tile with the margin"),
+])  # fmt: skip
+def test_what_breaks_a_promise_is_named(change: Callable[[CostVolume], CostVolume], said: str):
+    class Broken(Census):
+        def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
+            return change(super().__call__(pair, n_disparities))
+
+        def halo(self) -> int | None:
+            return 0 if change is same else super().halo()
+
+    with pytest.raises(AssertionError, match=f"Broken fails {said}"):
+        check_cost_measure(Broken())
 
 
 def test_layout_of_our_own_scenes(made_scenes: Path):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from depthcli.core.frames import StereoPair
+from depthcli.core.method import Family
 from depthcli.device import Kernels, open_device
 from depthcli.methods.stereo._device_table import TABLE
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
@@ -28,9 +29,9 @@ from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
 from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.inputs import TINY, blocky_pair, random_volume, texture
 from depthcli.testing.refinement import noisy_case
-from tests.contracts.inputs import preset
-from tests.methods.stereo._pairs import methods
+from tests.contracts.inputs import part, preset
 
+REFINEMENT = "methods.stereo.refinement"
 SIZES = [*TINY, (37, 61, 70)]
 
 
@@ -98,8 +99,9 @@ def test_scanlines_are_the_same_bytes(device, paths, size):
         assert found.scale == expected.scale
 
 
+ALL_STEPS = {name: part(REFINEMENT, name) for name in Family.of(f"depthcli.{REFINEMENT}").own_names}
 STEPS = [
-    *(p for p in methods("depthcli.methods.stereo.refinement") if type(p.values[0]) in TABLE),
+    *(pytest.param(step, id=name) for name, step in ALL_STEPS.items() if type(step) in TABLE),
     pytest.param(Median(window=5), id="median 5"), pytest.param(SpeckleFilter(size=4, step=2), id="speckles of 4"),
     pytest.param(SurfaceFill(rows=3, reach=5, support=4), id="small surfaces"),
     pytest.param(WeightedMedian(radius=2, filled_weight=0, passes=2), id="median without the filled"),

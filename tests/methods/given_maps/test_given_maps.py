@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.algorithms.pixel_network import TILE
 from depthcli.core.context import Clock
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
@@ -16,7 +15,7 @@ from depthcli.methods.given_maps import _planes
 from depthcli.methods.given_maps.fusion import fuse
 from depthcli.problems.map_checks import networks
 from depthcli.simulate.stereo_scenes import SyntheticScene, make_scene
-from tests.contracts.inputs import preset
+from tests.contracts.inputs import preset, views, wrong
 from tests.golden import refused
 from tests.scenes import RealScene, real_pair, real_scenes
 
@@ -28,7 +27,12 @@ def scene() -> SyntheticScene:
 
 @pytest.fixture(scope="module")
 def pair(scene: SyntheticScene) -> StereoPair:
-    return StereoPair(scene.left, scene.right)
+    return views(scene)
+
+
+@pytest.fixture(scope="module")
+def evidence(pair: StereoPair) -> _planes.Evidence:
+    return _planes.Evidence.of(pair, 32, Clock())
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +44,7 @@ def broken(scene: SyntheticScene) -> np.ndarray:
     return values
 
 
-def test_planes_are_those_of_single_pixels(pair: StereoPair, broken: np.ndarray):
-    evidence = _planes.Evidence.of(pair, 32, Clock())
+def test_planes_are_those_of_single_pixels(evidence: _planes.Evidence, broken: np.ndarray):
     (judged,) = given_maps.judged_maps(evidence, [broken])
     values, costs = judged.values, evidence.optimized.costs / evidence.optimized.scale
     rng = np.random.default_rng(0)
@@ -52,17 +55,16 @@ def test_planes_are_those_of_single_pixels(pair: StereoPair, broken: np.ndarray)
         if low + 1 < 33:
             here += (value - low) * (costs[y, x, low + 1] - here)
         rank = np.count_nonzero(evidence.optimized.costs[y, x, :n] < int(here * evidence.optimized.scale + 1e-3)) / n
-        assert judged.plane("rank")[y, x] == pytest.approx(rank, abs=1.5 / n)
         others = [costs[y, x, d] for d in range(n) if abs(d - int(value + 0.5)) > 1]
         margin = min(max(math.log((min(others, default=65535) + 2) / (here + 2)), -2), 2)
-        assert judged.plane("margin")[y, x] == pytest.approx(margin, abs=2e-3)
         excess = min(math.log((here + 2) / (costs[y, x, evidence.left[y, x]] + 2)), 2)
-        assert judged.plane("excess")[y, x] == pytest.approx(excess, abs=2e-3)
+        for name, expected, slack in (("rank", rank, 1.5 / n), ("margin", margin, 2e-3), ("excess", excess, 2e-3)):
+            assert judged.plane(name)[y, x] == pytest.approx(expected, abs=slack), name
         assert judged.plane("missing")[y, x] == np.isnan(broken[y, x])
 
 
-def test_the_kernel_is_the_network(pair: StereoPair, broken: np.ndarray):
-    evidence, known = _planes.Evidence.of(pair, 32, Clock()), networks()
+def test_the_kernel_is_the_network(evidence: _planes.Evidence, broken: np.ndarray):
+    known = networks()
     judged = given_maps.judged_maps(evidence, [broken, broken + 1])[0]
     (w1, _), (w2, b2), (w3, b3) = known.right.layers
     inputs = np.concatenate([judged.alone, judged.others]).reshape(len(known.right.mean), -1).T
@@ -71,20 +73,17 @@ def test_the_kernel_is_the_network(pair: StereoPair, broken: np.ndarray):
     np.testing.assert_allclose(given_maps.odds_of(known, judged, 1.0).ravel(), want[:, 0], rtol=1e-3, atol=2e-3)
 
 
-def test_a_wider_limit_is_never_less_likely(pair: StereoPair, broken: np.ndarray):
+def test_a_wider_limit_is_never_less_likely(evidence: _planes.Evidence, broken: np.ndarray):
     """At the thresholds, between them and beyond, of maps that no network has seen."""
-    evidence, known = _planes.Evidence.of(pair, 32, Clock()), networks()
-    rng = np.random.default_rng(0)
-    for values in (broken, rng.uniform(0, 32, broken.shape).astype(np.float32)):
+    limits = sorted([*np.geomspace(0.25, 8, 23), 0.5, 1.0, 1.0001, 2**0.25, 2**0.5, 3.9999, 4.0])
+    for values in (broken, np.random.default_rng(0).uniform(0, 32, broken.shape).astype(np.float32)):
         judged = given_maps.judged_maps(evidence, [values, broken])[0]
-        limits = sorted([*np.geomspace(0.25, 8, 23), 1.0, 1.0001, 3.9999, 4.0])
-        odds = np.stack([given_maps.odds_of(known, judged, limit) for limit in limits])
-        assert (np.diff(odds, axis=0) >= 0).all()
-        assert (np.diff(odds, axis=0) > 0).any(axis=0).mean() > 0.95
-        half, one, next_, four = (given_maps.odds_of(known, judged, limit) for limit in (0.5, 1.0, math.sqrt(2), 4.0))
-        np.testing.assert_allclose(given_maps.odds_of(known, judged, 2**0.25), (one + next_) / 2, atol=1e-5)
-        np.testing.assert_array_equal(given_maps.odds_of(known, judged, 8.0), four)
-        np.testing.assert_array_equal(given_maps.odds_of(known, judged, 0.25), half)
+        odds = {limit: given_maps.odds_of(networks(), judged, limit) for limit in limits}
+        steps = np.diff(np.stack([*odds.values()]), axis=0)
+        assert (steps >= 0).all() and (steps > 0).any(axis=0).mean() > 0.95
+        np.testing.assert_allclose(odds[2**0.25], (odds[1.0] + odds[2**0.5]) / 2, atol=1e-5)
+        np.testing.assert_array_equal(odds[limits[-1]], odds[4.0])
+        np.testing.assert_array_equal(odds[limits[0]], odds[0.5])
 
 
 def test_pixels_beyond_the_right_image():
@@ -100,10 +99,8 @@ def test_the_costs_are_those_of_the_preset_fast():
     assert (fast.cost, fast.optimization, fast.refinement) == own
 
 
-def test_one_map_has_no_relation_to_others(pair: StereoPair, broken: np.ndarray):
-    evidence = _planes.Evidence.of(pair, 32, Clock())
-    (judged,) = given_maps.judged_maps(evidence, [broken])
-    assert not judged.others.any()
+def test_one_map_has_no_relation_to_others(evidence: _planes.Evidence, broken: np.ndarray):
+    assert not given_maps.judged_maps(evidence, [broken])[0].others.any()
     first, second = given_maps.judged_maps(evidence, [broken, np.where(np.isnan(broken), broken, broken + 3)])
     assert first.plane("nearest_map")[10, 80] == pytest.approx(3)
     assert second.plane("above_middle")[10, 80] == pytest.approx(3)
@@ -113,32 +110,28 @@ def test_one_map_has_no_relation_to_others(pair: StereoPair, broken: np.ndarray)
 
 def test_wrong_pixels_are_doubted_and_hidden_ones_found(pair: StereoPair, scene: SyntheticScene, broken: np.ndarray):
     judgment = given_maps.judge(networks(), pair, [broken], 32, measures=given_maps.MEASURES)
-    wrong = np.zeros(broken.shape, bool)
-    wrong[42:68, 62:98] = True
-    right = scene.nonocc & ~wrong & np.isfinite(broken)
-    assert judgment.probability[wrong].mean() < 0.25
-    assert judgment.probability[right].mean() > 0.9
+    off = np.zeros(broken.shape, bool)
+    off[42:68, 62:98] = True
+    right = scene.nonocc & ~off & np.isfinite(broken)
+    assert judgment.probability[off].mean() < 0.25 < 0.9 < judgment.probability[right].mean()
     assert (judgment.probability[np.isnan(broken)] == 0).all()
     assert (judgment.status[np.isnan(broken)] == Status.NO_DATA).all()
     hidden = (judgment.status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
     both = np.count_nonzero(hidden & ~scene.nonocc)
     assert 2 * both / (hidden.sum() + np.count_nonzero(~scene.nonocc)) > 0.7
     assert set(judgment.confidence) == set(given_maps.MEASURES)
-    for values in judgment.confidence.values():
-        assert values.shape == broken.shape
-        assert np.isfinite(values[np.isfinite(broken)]).all()
+    assert all(np.isfinite(values[np.isfinite(broken)]).all() for values in judgment.confidence.values())
 
 
-def test_the_best_of_two_halves(pair: StereoPair, scene: SyntheticScene):
+@pytest.mark.parametrize("surfaces", [False, True])
+def test_the_best_of_two_halves(pair: StereoPair, scene: SyntheticScene, surfaces: bool):
     upper, lower = scene.disparity_left.copy(), scene.disparity_left.copy()
     upper[:60] += 5
     lower[60:] -= 3
-    for surfaces in (False, True):
-        best = fuse(networks(), pair, [upper, np.clip(lower, 0, None)], 32, surfaces=surfaces)
-        error = np.abs(best.disparity.values - scene.disparity_left)[scene.nonocc]
-        assert np.mean(error > 1) < 0.05
-        assert np.isfinite(best.disparity.values).all()
-        assert best.probability[scene.nonocc].mean() > 0.8
+    best = fuse(networks(), pair, [upper, np.clip(lower, 0, None)], 32, surfaces=surfaces)
+    assert wrong(best, scene) < 0.05
+    assert np.isfinite(best.disparity.values).all()
+    assert best.probability[scene.nonocc].mean() > 0.8
 
 
 def test_without_a_right_image_only_the_shape_counts(pair: StereoPair, scene: SyntheticScene):
@@ -151,11 +144,10 @@ def test_without_a_right_image_only_the_shape_counts(pair: StereoPair, scene: Sy
     refused(ValueError, given_maps.judge_by_one_view, networks(), pair.left, values[1:], 32)
 
 
-def test_the_networks_were_trained_for_these_planes():
-    right, hidden, one_view, *_ = networks()
-    assert (right.inputs, hidden.inputs, one_view.inputs) == (_planes.INPUTS, _planes.ALONE, _planes.ONE_VIEW)
-    assert right.maps == one_view.maps == given_maps.RIGHT_NAMES and hidden.maps == (given_maps.HIDDEN,)
-    assert not any(weights.shape[1] % TILE for one in networks()[:3] for weights, _ in one.layers[:2])
+def error_of(values: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The pixels with a value and a true one, and their errors."""
+    known = np.isfinite(truth) & (truth > 0) & np.isfinite(values)
+    return known, np.abs(values - truth)[known]
 
 
 def check_bounds(scene: RealScene, tolerance: float):
@@ -163,8 +155,7 @@ def check_bounds(scene: RealScene, tolerance: float):
     that the images contradict."""
     pair, truth, top = scene
     values = preset("stereo", "fast").pipeline(pair, top).disparity.values
-    known = np.isfinite(truth.values) & (truth.values > 0) & np.isfinite(values)
-    error = np.abs(values - truth.values)[known]
+    known, error = error_of(values, truth.values)
     for level in (0.5, 0.9, 0.98):
         probability, bound = given_maps.bounds(networks(), pair, values, np.False_, top, level=level)
         assert np.mean(error <= bound[known]) == pytest.approx(level, abs=tolerance)
@@ -172,18 +163,15 @@ def check_bounds(scene: RealScene, tolerance: float):
         given = given_maps.judge(networks(), pair, [values], top, level=level).bound
         assert np.mean(error <= given[known]) > np.mean(error <= bound[known]) - 0.005
     assert probability[known].mean() == pytest.approx(np.mean(error <= 1), abs=0.05)
-    for wrong in (np.zeros_like(values), np.nan_to_num(truth.values).astype(np.float32) / 16, values[::-1].copy()):
-        judgment = given_maps.judge(networks(), pair, [wrong], top)
+    for other in (np.zeros_like(values), np.nan_to_num(truth.values).astype(np.float32) / 16, values[::-1].copy()):
+        judgment = given_maps.judge(networks(), pair, [other], top)
         assert judgment.probability[known].mean() < 0.1
         assert np.median(judgment.bound) > 8
 
 
 @pytest.mark.slow
-def test_bounds_cover_what_they_promise_on_the_real_pair():
+def test_bounds_cover_what_they_promise():
     check_bounds(real_pair(), 0.13)
-
-
-def test_bounds_cover_what_they_promise_on_real_scenes():
     for name in ("Dolls", "Art"):
         check_bounds(real_scenes("middlebury_2005")[name], 0.08)
 
@@ -195,9 +183,8 @@ def test_bounds_of_maps_computed_at_half_the_size():
     small = StereoPair(*(cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in pair.color8))
     found = preset("stereo", "fast").pipeline(small, -(-top // 2)).disparity.values
     values = cv2.resize(found * np.float32(2), (width, height), interpolation=cv2.INTER_LINEAR)
-    known = np.isfinite(truth.values) & (truth.values > 0) & np.isfinite(values)
-    bound = given_maps.judge(networks(), pair, [values], top).bound
-    assert np.mean(np.abs(values - truth.values)[known] <= bound[known]) > 0.85
+    known, error = error_of(values, truth.values)
+    assert np.mean(error <= given_maps.judge(networks(), pair, [values], top).bound[known]) > 0.85
 
 
 def test_filled_values_are_less_sure(pair: StereoPair, scene: SyntheticScene):
@@ -236,9 +223,8 @@ def test_the_step_of_rounded_maps_is_found(scene: SyntheticScene):
 
 def test_bounds_of_rounded_maps_cover_what_rounding_adds(pair: StereoPair, scene: SyntheticScene):
     exact, values = scene.disparity_left, np.rint(scene.disparity_left)
-    one_view = given_maps.judge_by_one_view(networks(), pair.left, values, 32)
     found = given_maps.judge(networks(), pair, [values], 32)
-    for judgment in (found, one_view):
+    for judgment in (found, given_maps.judge_by_one_view(networks(), pair.left, values, 32)):
         assert np.mean(np.abs(values - exact) <= judgment.bound) > 0.85
     assert (found.bound >= 0.45).all() and np.median(found.bound) < 0.9
     assert (given_maps.judge(networks(), pair, [exact], 32).bound < 0.45).any()

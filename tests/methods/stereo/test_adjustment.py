@@ -15,12 +15,10 @@ from depthcli.methods.stereo.adjustment import adjusted, right_view
 from depthcli.methods.stereo.adjustment.right_view import BLOCK, CELL, resample
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.tiling.plan import PROCESS_BYTES
-from depthcli.problems.stereo import StereoConfig
 from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.inputs import texture
-from tests.contracts.inputs import preset, wrong
+from tests.contracts.inputs import COMBINED, part, preset, views, wrong
 from tests.golden import saying
-from tests.methods.stereo._pairs import PARAMETERS
 from tests.naive import adjustment as naive
 
 BOTH = ("rows", "light")
@@ -51,6 +49,15 @@ def error(pipeline, scene, right):
     return wrong(pipeline(StereoPair(scene.left, right), scene.max_disparity), scene)
 
 
+def local(**fields):
+    return part("methods.stereo.pipeline", "local", **fields)
+
+
+def without(pipeline):
+    return pipeline.model_copy(update={"adjust": ()})
+
+
+@pytest.fixture(scope="module")
 def accurate():
     return preset("stereo", "accurate").pipeline
 
@@ -68,10 +75,9 @@ def test_a_pair_whose_rows_were_far_off_is_matched_again(scene, monkeypatch):
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 9, 3), (11, 1, 3), (17, 23, 1), (20, 31, 3)])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_resampling_agrees_with_the_naive_reference(shape, dtype):
-    image = texture(shape, dtype=dtype)
+    image, top = texture(shape, dtype=dtype), np.iinfo(dtype).max
     gains = np.random.default_rng(1).uniform(0.5, 2, (3, 4, 3)).astype(np.float32)
     out = np.empty_like(image)
-    top = np.iinfo(dtype).max
     resample(image, TILTED, gains, 8, np.float32(top), out)
     expected = np.clip(naive.resampled(image, TILTED, gains, 8, top), 0, top)
     np.testing.assert_allclose(out.astype(float), expected, atol=0.5 + 1e-3 * (top / 255) + 1e-2)
@@ -84,31 +90,30 @@ def test_sums_agree_with_the_naive_references(shape):
     disparity[rng.random(shape) < 0.2] = np.nan
     disparity = np.maximum(disparity, 0)
     left, right = texture((*shape, 3), 1), texture((*shape, 3), 2)
-    cells = tuple(-(-side // CELL) for side in shape)
+    cells, blocks = (tuple(-(-side // size) for side in shape) for size in (CELL, BLOCK))
     gains = rng.uniform(0.5, 2, (*cells, 3)).astype(np.float32)
-    sums = np.zeros((3, *cells, 3), np.float32)
-    run_bands(right_view.sum_light, sums.shape[1], disparity, left, right, gains, np.float32(1.4), sums)
-    expected = naive.light_sums(disparity, left, right, gains, 1.4, CELL, 8)
-    np.testing.assert_allclose(sums, expected, rtol=1e-4, atol=1e-3)
-    sums = np.zeros((2, *cells), np.float32)
-    run_bands(right_view.sum_differences, sums.shape[1], disparity, left, right, sums)
-    expected = naive.difference_sums(disparity, left, right, CELL)
-    np.testing.assert_allclose(sums, expected, rtol=1e-4, atol=1e-3)
-    left_details, right_details = (right_view.Details.of(image) for image in (left // 8, right // 8))
-    blocks = tuple(-(-side // BLOCK) for side in shape)
-    sums = np.zeros((8, *blocks))
-    run_bands(right_view.sum_blocks, sums.shape[1], disparity, left_details, right_details, TILTED, sums)
-    expected = naive.block_sums(disparity, left_details, right_details, TILTED, BLOCK, 4, 20)
-    np.testing.assert_allclose(sums, expected, rtol=1e-3, atol=0.1)
+    details = [right_view.Details.of(image // 8) for image in (left, right)]
+
+    def check(kernel, sums, given, expected, rtol=1e-4, atol=1e-3):
+        run_bands(kernel, sums.shape[1], disparity, *given, sums)
+        np.testing.assert_allclose(sums, expected, rtol=rtol, atol=atol)
+
+    light = naive.light_sums(disparity, left, right, gains, 1.4, CELL, 8)
+    check(right_view.sum_light, np.zeros((3, *cells, 3), np.float32), (left, right, gains, np.float32(1.4)), light)
+    differences = naive.difference_sums(disparity, left, right, CELL)
+    check(right_view.sum_differences, np.zeros((2, *cells), np.float32), (left, right), differences)
+    expected = naive.block_sums(disparity, *details, TILTED, BLOCK, 4, 20)
+    check(right_view.sum_blocks, np.zeros((8, *blocks)), (*details, TILTED), expected, 1e-3, 0.1)
 
 
-def test_shifted_rows_are_aligned(scene):
+def test_shifted_rows_are_aligned_and_a_correct_pair_hardly_changes(scene, accurate):
     """Offsets of up to three rows."""
-    pipeline = accurate()
     askew = shifted(scene.right, TILTED)
-    straight = error(pipeline, scene, scene.right)
-    assert error(pipeline.model_copy(update={"adjust": ()}), scene, askew) > straight + 0.1
-    assert error(pipeline, scene, askew) < straight + 0.02
+    straight = error(accurate, scene, scene.right)
+    assert abs(straight - error(without(accurate), scene, scene.right)) < 0.01
+    assert error(without(accurate), scene, askew) > straight + 0.1
+    assert error(accurate, scene, askew) < straight + 0.02
+    assert np.abs(adjusted(views(scene), 40, BOTH).right.astype(int) - scene.right).mean() < 2
     aligned = adjusted(StereoPair(scene.left, askew), scene.max_disparity, BOTH).right.astype(int)
     inside = (slice(8, -8), slice(8, -60))  # what lies in both views
     before, after = (np.abs(one.astype(int) - scene.right)[inside].mean() for one in (askew, aligned))
@@ -117,14 +122,13 @@ def test_shifted_rows_are_aligned(scene):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
-def test_uneven_light_is_corrected(seed):
+def test_uneven_light_is_corrected(seed, accurate):
     scene = make_scene("foreground", seed=5, height=260, width=360, max_disparity=40, wall_contrast=0.2)
-    config = {"pipeline": "local", "adjust": ["light"], "cost": "absolute_difference"}
     optimization = {"method": "scanline", "p1": 10, "p2": 40}
-    pipeline = StereoConfig.model_validate({**config, "optimization": optimization}).pipeline
+    pipeline = local(adjust=["light"], cost="absolute_difference", optimization=optimization)
     other = lit(scene.right, seed)
-    assert error(pipeline, scene, other) < error(pipeline.model_copy(update={"adjust": ()}), scene, other) / 4
-    assert error(accurate(), scene, other) < error(accurate(), scene, scene.right) + 0.01
+    assert error(pipeline, scene, other) < error(without(pipeline), scene, other) / 4
+    assert error(accurate, scene, other) < error(accurate, scene, scene.right) + 0.01
     corrected = adjusted(StereoPair(scene.left, other), scene.max_disparity, ("light",)).right
     ratio = np.median(corrected / np.maximum(scene.right, 1.0), axis=(0, 1))
     np.testing.assert_allclose(ratio, 1, atol=0.06)
@@ -140,19 +144,10 @@ def test_light_trust_is_low_where_no_smooth_gain_corrects_the_light(scene):
     assert np.median(alike.light_trust) > 150
     assert np.median(other.light_trust[:, 60:180]) < 0.5 * np.median(other.light_trust[:, 240:])
     assert adjusted(StereoPair(scene.left, spotted), 40, ("rows",)).light_trust is None
-    cost = {"method": "combined", **PARAMETERS["combined"]}
-    config = {"pipeline": "local", "cost": cost, "optimization": {"method": "scanline", "p1": 1.5, "p2": 5}}
-    pipeline = StereoConfig.model_validate(config).pipeline
+    pipeline = local(cost=COMBINED, optimization={"method": "scanline", "p1": 1.5, "p2": 5})
     results = [pipeline(replace(other, light_trust=trust), 40) for trust in (None, other.light_trust)]
     errors = [np.abs(result.disparity.values - scene.disparity_left)[:, 60:180] > 1 for result in results]
     assert errors[1].mean() < 0.9 * errors[0].mean()
-
-
-def test_a_correct_pair_hardly_changes(scene):
-    right = adjusted(StereoPair(scene.left, scene.right), scene.max_disparity, BOTH).right.astype(int)
-    assert np.abs(right - scene.right).mean() < 2
-    without = accurate().model_copy(update={"adjust": ()})
-    assert abs(error(accurate(), scene, scene.right) - error(without, scene, scene.right)) < 0.01
 
 
 def test_grey_and_deep_images_are_adjusted_alike(scene):
@@ -160,15 +155,14 @@ def test_grey_and_deep_images_are_adjusted_alike(scene):
     shallow = adjusted(StereoPair(left, right), 40, BOTH).right
     assert shallow.ndim == 2
     deep = adjusted(StereoPair(left.astype(np.uint16) * 257, right.astype(np.uint16) * 257), 40, BOTH).right
-    assert deep.dtype == np.uint16
-    assert np.abs(deep / 257.0 - shallow).max() <= 1
+    assert deep.dtype == np.uint16 and np.abs(deep / 257.0 - shallow).max() <= 1
     twelve = adjusted(StereoPair(left.astype(np.uint16) * 16, right.astype(np.uint16) * 16, 12), 40, BOTH)
     assert twelve.right.max() <= 4095
     assert np.abs(twelve.right / 16.0 - shallow).mean() < 1
 
 
 def test_the_memory_error_names_a_sufficient_amount(scene):
-    pipeline = StereoConfig.model_validate({"pipeline": "local", "adjust": BOTH, "cost": "census"}).pipeline
+    pipeline = local(adjust=BOTH, cost="census")
     pair = StereoPair(scene.left, lit(scene.right))
     with saying(InputError) as raised:
         match(pipeline, pair, 40, Limits(5 << 20, tiles="always"))
@@ -187,14 +181,8 @@ def test_pairs_with_too_few_matches_are_returned_unchanged(shape, top):
 
 def test_tiles_are_adjusted_as_the_whole(scene):
     """A pipeline without the whole image's sums gives the same map in tiles."""
-    config = {
-        "pipeline": "local",
-        "adjust": BOTH,
-        "cost": {"method": "combined", **PARAMETERS["combined"]},
-        "aggregation": "constant_window",
-        "refinement": ["left_right_check", "background_fill"],
-    }
-    pipeline = StereoConfig.model_validate(config).pipeline
+    fields = {"aggregation": "constant_window", "refinement": ["left_right_check", "background_fill"]}
+    pipeline = local(adjust=BOTH, cost=COMBINED, **fields)
     pair = StereoPair(scene.left, lit(shifted(scene.right, TILTED)))
     tiled = match(pipeline, pair, 40, Limits(PROCESS_BYTES + (24 << 20), tiles="always"))
     assert tiled.figures["tiles"] > 1
@@ -204,5 +192,5 @@ def test_tiles_are_adjusted_as_the_whole(scene):
 def test_fusion_adjusts_too(scene):
     fusion = Fusion.model_validate({"measures": ["absolute_difference", "census"], "adjust": ["rows"]})
     askew = shifted(scene.right, TILTED)
-    assert error(fusion, scene, askew) < error(fusion.model_copy(update={"adjust": ()}), scene, askew) - 0.1
+    assert error(fusion, scene, askew) < error(without(fusion), scene, askew) - 0.1
     assert "adjustment" in fusion(StereoPair(scene.left, askew), 40).seconds

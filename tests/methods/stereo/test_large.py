@@ -28,8 +28,7 @@ from depthcli.testing.inputs import TINY, assert_pure, blocky_pair, random_volum
 from tests.command_line import rows
 from tests.conftest import sampled
 from tests.contracts.checks import assert_in_range
-from tests.contracts.inputs import preset, views, wrong
-from tests.methods.stereo._pairs import PARAMETERS
+from tests.contracts.inputs import COMBINED, preset, views, wrong
 from tests.naive import stereo as naive
 
 PRESETS = ("fast", "accurate", "segments", "opencv-sgbm", "ad-census-mei", "cross")
@@ -154,7 +153,7 @@ TOLERANT = {"method": "combined", "parts": [
 ]}  # fmt: skip
 LOCAL = {
     "window": ("census", {"method": "constant_window", "window": 9}),
-    "combined": ({"method": "combined", **PARAMETERS["combined"]}, {"method": "constant_window", "window": 5}),
+    "combined": (COMBINED, {"method": "constant_window", "window": 5}),
     "tolerant": (TOLERANT, None),
     "cross": ("census", {"method": "cross", "length": 9, "inner_length": 5, "iterations": 2}),
     "intersection": ("census", {"method": "cross", "length": 9, "support": "intersection", "iterations": 1}),

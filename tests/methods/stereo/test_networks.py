@@ -14,8 +14,9 @@ from depthcli.methods.stereo.cost.onnx import NetworkCost
 from depthcli.methods.stereo.networks import MeanDeviation, networks_in, normalized, padded, samples
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.pipeline.onnx import NetworkPipeline
+from depthcli.testing.cost import CHECKS
 from depthcli.testing.inputs import assert_pure, inside, shifted_pair
-from tests.golden import refused, saying
+from tests.golden import refused
 from tests.methods.stereo._networks import Graph, block_matcher, has_onnx, local_features
 
 needs_onnx = pytest.mark.skipif(not has_onnx(), reason="onnxruntime or onnx is not installed")
@@ -24,6 +25,13 @@ FORMS = ("six", "grey", "two", "last", "right-first", "four", "iterations")
 
 def pipeline(path: Path, **fields: object) -> NetworkPipeline:
     return NetworkPipeline.model_validate({"model": str(path), **fields})
+
+
+@needs_onnx
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_contract(tmp_path: Path, check):
+    file = local_features(tmp_path / "features.onnx", channels=None)
+    check(NetworkCost(model=str(file), normalization="image", distance="l1", truncation=2))
 
 
 @needs_onnx
@@ -36,16 +44,14 @@ def test_inputs_are_found_from_names_and_shapes(tmp_path: Path, form: str):
         refused(InputError, network.prepare, "cpu")
         network = network.model_copy(update={"iterations": 3})
     network.prepare("cpu")
-    pair = shifted_pair(75, 131, 6)
-    result = network(pair, 16)
-    assert result.disparity.values.shape == pair.shape
+    result = network(shifted_pair(75, 131, 6), 16)
+    values, status = result.disparity.values, result.disparity.status
+    assert values.shape == (75, 131)
     if form == "four":  # noise of single pixels is gone at half the size
         return
-    assert np.mean(result.disparity.values[:, 16:] == 6) > 0.98
-    reasons = (Status.OCCLUDED | Status.FILLED, Status.MISMATCH | Status.FILLED)
-    assert set(np.unique(result.disparity.status[:, :6])) <= set(reasons)
-    assert not result.disparity.status[:, 16:-8].any()
-    np.testing.assert_array_equal(result.confidence["lrc"] < -1, result.disparity.status != 0)
+    assert np.mean(values[:, 16:] == 6) > 0.98 and not status[:, 16:-8].any()
+    assert set(np.unique(status[:, :6])) <= {Status.OCCLUDED | Status.FILLED, Status.MISMATCH | Status.FILLED}
+    np.testing.assert_array_equal(result.confidence["lrc"] < -1, status != 0)
 
 
 @needs_onnx
@@ -56,23 +62,20 @@ def test_a_network_of_one_size_gets_it_and_disparities_are_scaled(tmp_path: Path
     smooth = np.random.default_rng(0).integers(0, 256, (12, 25, 3), np.uint8).repeat(16, 0).repeat(16, 1)
     pair = StereoPair(np.ascontiguousarray(smooth[:, :256]), np.ascontiguousarray(smooth[:, 16:272]))
     disparity = network.model_copy(update={"left_right_check": False})(pair, 32).disparity
-    assert disparity.values.shape == (192, 256)
-    assert abs(np.median(disparity.values) - 16) < 1
-    with saying(InputError):
-        network.model_copy(update={"size": (64, 64)}).prepare("cpu")
+    assert disparity.values.shape == (192, 256) and abs(np.median(disparity.values) - 16) < 1
+    refused(InputError, network.model_copy(update={"size": (64, 64)}).prepare, "cpu")
 
 
 @needs_onnx
 @pytest.mark.parametrize("factor", [-1, 0.25, 0])
 def test_the_self_check_refuses_what_is_no_disparity(tmp_path: Path, factor: float):
-    network = pipeline(block_matcher(tmp_path / "net.onnx", factor=factor))
-    refused(InputError, network.prepare, "cpu")
-    network.model_copy(update={"self_check": False}).prepare("cpu")
+    file = block_matcher(tmp_path / "net.onnx", factor=factor)
+    refused(InputError, pipeline(file).prepare, "cpu")
+    pipeline(file, self_check=False).prepare("cpu")
     if factor == -1:
-        network.model_copy(update={"sign": "negative"}).prepare("cpu")
-        network.model_copy(update={"profile": "raft-stereo"}).prepare("cpu")
-        with saying(InputError):
-            network.model_copy(update={"profile": "raft-stereo", "sign": "positive"}).prepare("cpu")
+        pipeline(file, sign="negative").prepare("cpu")
+        pipeline(file, profile="raft-stereo").prepare("cpu")
+        refused(InputError, pipeline(file, profile="raft-stereo", sign="positive").prepare, "cpu")
 
 
 @needs_onnx
@@ -98,19 +101,15 @@ def test_same_bytes_at_any_thread_count_and_inputs_untouched(tmp_path: Path):
 
 @needs_onnx
 def test_what_is_no_network_of_this_kind_is_refused(tmp_path: Path):
-    features = local_features(tmp_path / "features.onnx")
-    with saying(InputError):
-        pipeline(features).prepare("cpu")
-    graph = Graph()
-    image, flow = (1, 3, 8, 8), (1, 2, 4, 4)
-    inputs = {"left": image, "right": image, "flow_init": flow}
+    graph, image = Graph(), (1, 3, 8, 8)
+    inputs = {"left": image, "right": image, "flow_init": (1, 2, 4, 4)}
     parts = graph.save(tmp_path / "part.onnx", inputs, graph.add("Abs", "left"))
-    with saying(InputError):
-        pipeline(parts).prepare("cpu")
-    with saying(InputError):
-        NetworkCost(model=str(block_matcher(tmp_path / "net.onnx"))).prepare("cpu")
-    with saying(InputError):
-        NetworkCost(model=str(local_features(tmp_path / "half.onnx", pads=1, stride=2))).prepare("cpu")
+    for found in (
+        pipeline(local_features(tmp_path / "features.onnx")), pipeline(parts),
+        NetworkCost(model=str(block_matcher(tmp_path / "net.onnx"))),
+        NetworkCost(model=str(local_features(tmp_path / "half.onnx", pads=1, stride=2))),
+    ):  # fmt: skip
+        refused(InputError, found.prepare, "cpu")
 
 
 def test_networks_and_their_files_are_found_in_any_part_of_a_config(tmp_path: Path):
@@ -137,16 +136,13 @@ def test_weights_beside_a_network_belong_to_its_files(name: str, tmp_path: Path)
 
 def test_values_that_networks_take():
     image = np.random.default_rng(0).integers(0, 256, (5, 6, 3)).astype(np.float32)
-    np.testing.assert_allclose(normalized(image, "0-255", "rgb"), image)
-    np.testing.assert_allclose(normalized(image, "0-255", "bgr"), image[..., ::-1])
-    np.testing.assert_allclose(normalized(image, "0-1", "rgb"), image / 255, rtol=1e-6)
-    expected = (image / 255 - (0.485, 0.456, 0.406)) / (0.229, 0.224, 0.225)
-    np.testing.assert_allclose(normalized(image, "imagenet", "rgb"), expected, rtol=1e-4, atol=1e-5)
-    moments = MeanDeviation(mean=(0.5,), deviation=(0.25,))
-    np.testing.assert_allclose(normalized(image, moments, "rgb"), image / 255 * 4 - 2, rtol=1e-4, atol=1e-5)
-    whole = normalized(image, "image", "rgb")
-    assert abs(whole.mean()) < 1e-5
-    assert abs(whole.std() - 1) < 1e-5
+    imagenet = (image / 255 - (0.485, 0.456, 0.406)) / (0.229, 0.224, 0.225)
+    for kind, order, expected, rtol in (
+        ("0-255", "rgb", image, 0), ("0-255", "bgr", image[..., ::-1], 0), ("0-1", "rgb", image / 255, 1e-6),
+        ("imagenet", "rgb", imagenet, 1e-4), ("image", "rgb", (image - image.mean()) / image.std(), 1e-5),
+        (MeanDeviation(mean=(0.5,), deviation=(0.25,)), "rgb", image / 255 * 4 - 2, 1e-4),
+    ):  # fmt: skip
+        np.testing.assert_allclose(normalized(image, kind, order), expected, rtol=rtol, atol=0.1 * rtol)
     assert not normalized(np.full((3, 3, 1), 7, np.float32), "image", "rgb").any()
     wide = StereoPair(*[np.full((4, 4), 1023, np.uint16)] * 2, bits=10)
     for view, n in ((0, 1), (1, 3)):
@@ -177,8 +173,7 @@ def test_costs_are_distances_of_features(tmp_path: Path, distance: str, channels
         want = 1 - (left * right).sum(axis=2) if distance == "dot" else np.abs(left - right).mean(axis=2)
         got = volume.costs[:, d:, d] / volume.scale
         np.testing.assert_allclose(got, np.minimum(want, cost.truncation), atol=0.51 / volume.scale)
-    outside = volume.costs[~inside(volume.costs.shape)]
-    assert set(outside) == {round(cost.outside * 250)}
+    assert set(volume.costs[~inside(volume.costs.shape)]) == {round(cost.outside * 250)}
 
 
 @needs_onnx

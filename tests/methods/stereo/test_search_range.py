@@ -1,7 +1,9 @@
 """Search ranges that do not begin at 0, and ranges that the pair itself says."""
 
+import itertools
 import json
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,19 +14,13 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.io.formats.disparity import read_disparity, read_pfm, read_status, write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.methods.stereo.pipeline.local import Local
-from depthcli.methods.stereo.search_range import (
-    MatchedRange,
-    SearchRange,
-    complete_range,
-    matched_beyond,
-    matched_range,
-)
+from depthcli.methods.stereo import search_range
+from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, matched_range
 from depthcli.methods.stereo.volume import StereoResult
-from depthcli.problems.inputs import load_config
-from depthcli.problems.stereo import Stereo, StereoConfig
+from depthcli.problems.stereo import Stereo
 from depthcli.simulate.stereo_scenes import make_scene
 from tests.command_line import rows, run
+from tests.contracts.inputs import part, preset, views
 from tests.golden import refused
 
 
@@ -32,6 +28,9 @@ def blobs(width: int, height: int = 60, seed: int = 3) -> np.ndarray:
     noise = np.random.default_rng(seed).random((height, width)).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), 1.5)
     return cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+
+
+NOISE = StereoPair(blobs(300, 200, 1), blobs(300, 200, 2))
 
 
 def moved_pair(shift: int, width: int = 120) -> StereoPair:
@@ -49,32 +48,31 @@ def images_of(pair: StereoPair, folder: Path) -> tuple[str | Path, ...]:
     return "--left", folder / "l.png", "--right", folder / "r.png", "--name", "s"
 
 
+def row_of(output: Path) -> dict[str, Any]:
+    return rows(output)["s"]
+
+
 @pytest.mark.parametrize("low", [-9, -1, 1, 6])
 def test_shifting_there_and_back_is_exact(low: int):
     """Costs of the shifted pair are those of the pair, cell by cell, wherever both views have pixels."""
     pair = StereoPair(blobs(40, 9, 1), blobs(40, 9, 2))
     search = SearchRange(low, low + 7)
-    cost = Local(cost={"method": "absolute_difference", "truncation": 255}).cost
+    cost = part("methods.stereo.cost", "absolute_difference", truncation=255)
     costs = cost(search.shift(pair), search.shifted_max_disparity + 1)
     left, right = (image.astype(int) for image in pair.grey8)
-    for x in range(max(low, 0), 40):
-        for d in range(low, low + 8):
-            if 0 <= x - d < 40:
-                expected = np.abs(left[:, x] - right[:, x - d]) * costs.scale
-                np.testing.assert_allclose(costs.costs[:, x - low, d - low], expected, atol=costs.scale)
-    # Where the match lies left of the right image, the shifted pair says the same: d' > x'.
-    for x in range(max(low, 0), 40):
-        for d in range(low, low + 8):
-            assert (d - low > x - low) == (x - d < 0)
+    for x, d in itertools.product(range(max(low, 0), 40), range(low, low + 8)):
+        if 0 <= x - d < 40:
+            expected = np.abs(left[:, x] - right[:, x - d]) * costs.scale
+            np.testing.assert_allclose(costs.costs[:, x - low, d - low], expected, atol=costs.scale)
 
 
 @pytest.mark.parametrize("shift", [-12, 0, 9])
-@pytest.mark.parametrize("preset", ["fast", "opencv-sgbm"])
-def test_a_converging_or_cropped_pair(shift: int, preset: str, tmp_path: Path, capsys):
+@pytest.mark.parametrize("name", ["fast", "opencv-sgbm"])
+def test_a_converging_or_cropped_pair(shift: int, name: str, tmp_path: Path, tool):
     pair = moved_pair(shift)
-    images = images_of(pair, tmp_path)
     ends = ("--min-disparity", str(shift - 5), "--max-disparity", str(shift + 6))
-    assert run("stereo", preset, *images, *ends, "-o", tmp_path / "run", "-q") == 0
+    words = ("stereo", name, *images_of(pair, tmp_path), *ends, "-o", tmp_path / "run", "-q")
+    assert tool.err(0, *words) == ""
     values, status = read_pfm(tmp_path / "run/s/disp_left.pfm"), read_status(tmp_path / "run/s/status.png")
     assert values.shape == pair.shape == status.shape
     seen = np.zeros(pair.shape, bool)
@@ -90,55 +88,45 @@ def test_a_converging_or_cropped_pair(shift: int, preset: str, tmp_path: Path, c
     np.testing.assert_array_equal(np.isfinite(codes), np.isfinite(values) & (values >= (0 if shift < 5 else -1)))
     positive = np.isfinite(codes) & (values > 0)
     np.testing.assert_allclose(codes[positive], values[positive], atol=1 / 256)
-    err = capsys.readouterr().err
-    row = json.loads((tmp_path / "run/report.json").read_text())["scenes"][0]
+    row = row_of(tmp_path / "run")
     assert (row["min_disparity"], row["max_disparity"]) == (shift - 5, shift + 6)
-    assert err == ""  # quiet
 
 
 @pytest.mark.parametrize(("given", "low"), [(None, -10), (0, 0), (-3, -3), ("auto", -10)])
 def test_a_lower_end_is_only_estimated_if_it_is_not_given(tmp_path: Path, given: int | str | None, low: int):
     """If a calibration rectifies the pairs and there is no upper end."""
-    config = load_config(StereoConfig, "fast", None, min_disparity=given, calibration=(tmp_path / "rig.yaml",))
-    ends = Stereo(config).ends()
-    search, _ = complete_range(*ends, moved_pair(4), MatchedRange(-10, 50, 99))
+    config = preset("stereo", "fast", f"min_disparity={'null' if given is None else given}")
+    config = config.model_copy(update={"calibration": (tmp_path / "rig.yaml",)})
+    search, _ = search_range.complete_range(*Stereo(config).ends(), moved_pair(4), MatchedRange(-10, 50, 99))
     assert search == SearchRange(low, 50)
 
 
-def test_what_the_report_and_the_warnings_say(tmp_path: Path, capsys, tool):
-    pair = moved_pair(-12)
-    images = images_of(pair, tmp_path)
-    tool.told(0, "stereo", "fast", *images, "--min-disparity", "-12", "--max-disparity", "8", "-o", tmp_path / "a")
+def test_what_the_report_and_the_warnings_say(tmp_path: Path, tool):
+    words = ("stereo", "fast", *images_of(moved_pair(-12), tmp_path), "-o")
+    tool.told(0, *words, tmp_path / "a", "--min-disparity", "-12", "--max-disparity", "8")
     auto = ("--min-disparity", "auto", "--max-disparity", "auto")
-    assert "end of the search range" not in tool.err(0, "stereo", "fast", *images, *auto, "-o", tmp_path / "b")
-    row = json.loads((tmp_path / "b/report.json").read_text())["scenes"][0]
+    assert "end of the search range" not in tool.err(0, *words, tmp_path / "b", *auto)
+    row = row_of(tmp_path / "b")
     assert -25 < row["min_disparity"] == row["range_low"] < -12 < row["max_disparity"] == row["range_top"] < 0
-    assert row["range_matches"] > 16
-    assert row["seconds"]["range"] > 0
-    tool.told(3, "stereo", "fast", *images, "--max-disparity", "auto", "-o", tmp_path / "c", "-q")
-    assert run("stereo", "fast", *images, "--max-disparity", "5000", "-o", tmp_path / "e") == 0
-    assert "above 119" in capsys.readouterr().err and "119" in (tmp_path / "e/report.csv").read_text()
-    for ends in (
-        ("--min-disparity", "9", "--max-disparity", "9"),
-        ("--max-disparity", "many"),
-        ("--max-disparity", "0"),
-    ):
-        tool.told(2, "stereo", "fast", *images, *ends, "-o", tmp_path / "d")
+    assert row["range_matches"] > 16 and row["seconds"]["range"] > 0
+    tool.told(3, *words, tmp_path / "c", "--max-disparity", "auto", "-q")
+    assert "above 119" in tool.err(0, *words, tmp_path / "e", "--max-disparity", "5000")
+    assert "119" in (tmp_path / "e/report.csv").read_text()
+    for top, *low in (("9", "--min-disparity", "9"), ("many",), ("0",)):
+        tool.told(2, *words, tmp_path / "d", "--max-disparity", top, *low)
 
 
 @pytest.mark.parametrize("kind", ["planes", "curved"])
 def test_the_pair_says_its_range(kind):
     scene = make_scene(kind, 1, 240, 180, 40)
-    found = matched_range(StereoPair(scene.left, scene.right))
+    found = matched_range(views(scene))
     true = np.quantile(scene.disparity_left, (0.01, 0.99))
     assert found.n_matches > 16
     assert found.low <= true[0]
     assert true[1] <= found.top <= 1.6 * true[1] + 5
     # Converging cameras: the same, moved.
-    right = np.roll(scene.right, 20, axis=1)
-    moved = matched_range(StereoPair(scene.left, right))
-    assert abs(moved.low - found.low + 20) <= 3
-    assert abs(moved.top - found.top + 20) <= 6
+    moved = matched_range(StereoPair(scene.left, np.roll(scene.right, 20, axis=1)))
+    assert abs(moved.low - found.low + 20) <= 3 and abs(moved.top - found.top + 20) <= 6
 
 
 def test_the_range_holds_a_near_thing_without_corners_and_no_false_matches():
@@ -154,56 +142,37 @@ def test_the_range_holds_a_near_thing_without_corners_and_no_false_matches():
     assert (again.low, again.top) == (found.low, found.top)
 
 
-def test_ranges_that_end_before_near_things_are_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_ranges_that_end_before_near_things_are_warned_of(tmp_path: Path, tool):
     """20 % of the truth lie beyond three quarters of the largest disparity, 3 % of the measured pixels at that end."""
     scene = make_scene("planes", 0, 240, 180, 40)
-    pair = StereoPair(scene.left, scene.right)
-    top = int(np.ceil(scene.disparity_left.max()))
-    near = matched_beyond(pair, SearchRange(0, round(0.75 * top)))
+    pair, top = views(scene), int(np.ceil(scene.disparity_left.max()))
+    near = search_range.matched_beyond(pair, SearchRange(0, round(0.75 * top)))
     assert near is not None and abs(near - top) <= 3
-    assert matched_beyond(pair, SearchRange(0, top)) is None
-    assert matched_beyond(StereoPair(blobs(300, 200, 1), blobs(300, 200, 2)), SearchRange(0, 5)) is None
-    images = images_of(pair, tmp_path)
+    assert search_range.matched_beyond(pair, SearchRange(0, top)) is None
+    assert search_range.matched_beyond(NOISE, SearchRange(0, 5)) is None
+    words = ("stereo", "fast", *images_of(pair, tmp_path), "-o")
     for searched in (round(0.75 * top), top):
-        assert run("stereo", "fast", *images, "--max-disparity", str(searched), "-o", tmp_path / f"{searched}") == 0
-        assert ("see max_disparity" in capsys.readouterr().err) == (searched < top)
-
-
-def test_the_smaller_size_is_made_from_the_larger_one(monkeypatch: pytest.MonkeyPatch):
-    """Reducing the images themselves takes as long as matching them."""
-    sizes, resize = list[tuple[int, ...]](), cv2.resize
-    monkeypatch.setattr(
-        cv2, "resize", lambda image, *more, **options: sizes.append(image.shape) or resize(image, *more, **options)
-    )
-    scene = make_scene("planes", 1, 240, 180, 40)
-    matched_range(StereoPair(scene.left, scene.right))
-    assert sizes.count((180, 240)) == 2
+        said = tool.err(0, *words, tmp_path / f"{searched}", "--max-disparity", str(searched))
+        assert ("see max_disparity" in said) == (searched < top)
 
 
 def test_noise_has_no_range():
-    refused(InputError, matched_range, StereoPair(blobs(300, 200, 1), blobs(300, 200, 2)))
+    refused(InputError, matched_range, NOISE)
 
 
 @pytest.mark.parametrize("low", [-3, 4])
 def test_restoring_keeps_holes_and_fills_no_hole(low: int):
-    width = 12
-    search = SearchRange(low, low + 8)
-    shape = search.shift(StereoPair(blobs(width, 5), blobs(width, 5))).shape
-    holes = np.full(shape, 2.0, np.float32)
-    holes[0, 5] = np.nan
-    for values in (holes, np.full(shape, 2.0, np.float32)):
+    x, search = np.arange(12), SearchRange(low, low + 8)
+    shape = search.shift(StereoPair(blobs(12, 5), blobs(12, 5))).shape
+    partner = (x - (2 + low) < 12) & (x >= max(low, 0))
+    for dense, reason in ((False, Status.OCCLUDED), (True, Status.OCCLUDED | Status.FILLED)):
+        values = np.full(shape, 2.0, np.float32)
+        values[0, 5] = 2.0 if dense else np.nan
         made = StereoResult(DisparityMap(values, np.zeros(shape, np.uint8)), confidence={"a": values})
-        back = search.restore(made, width)
-        assert back.disparity.values.shape == back.confidence["a"].shape == (5, width)
-        x = np.arange(width)
-        partner = (x - (2 + low) < width) & (x >= max(low, 0))
-        dense = not np.isnan(values).any()
-        kept = ~np.isnan(back.disparity.values[1])
-        np.testing.assert_array_equal(kept, np.ones(width, bool) if dense else partner)
-        np.testing.assert_array_equal(back.disparity.status[1] == 0, partner)
-        reason = Status.OCCLUDED | Status.FILLED if dense else Status.OCCLUDED
-        assert set(back.disparity.status[1][~partner]) == {int(reason)}
-        assert (back.disparity.values[1][kept] == 2 + low).all()
+        back = search.restore(made, 12)
+        assert back.disparity.values.shape == back.confidence["a"].shape == (5, 12)
+        np.testing.assert_array_equal(back.disparity.values[1], np.where(partner | dense, 2 + low, np.nan))
+        np.testing.assert_array_equal(back.disparity.status[1], np.where(partner, 0, reason))
 
 
 def test_shares_at_the_ends_and_suggested_ranges():
@@ -226,10 +195,9 @@ def test_evaluation_and_depth_with_negative_disparities(tmp_path: Path):
         (scene / "meta.json").write_text(json.dumps(meta))
         out = tmp_path / protocol
         assert run("stereo", "fast", "-i", tmp_path / "data", "-o", out, "--evaluate", "-q") == 0
-        scores = json.loads((out / "evaluation/scores.json").read_text())
-        assert scores["headlines"][0]["value"] < 3
+        assert json.loads((out / "evaluation/scores.json").read_text())["headlines"][0]["value"] < 3
     (scene / "meta.json").write_text(json.dumps(meta | {"min_disparity": -24}))
     assert run("stereo", "fast", "-i", tmp_path / "data", "-o", out, "-q") == 0
-    assert rows(out)["s"]["min_disparity"] == -24  # another range is another result
+    assert row_of(out)["min_disparity"] == -24  # another range is another result
     assert run("depth", tmp_path / "eth3d", "-o", tmp_path / "depth", "-q") == 0
     assert abs(np.median(read_pfm(tmp_path / "depth/s/depth.pfm")) - 5 / 8) < 0.01
