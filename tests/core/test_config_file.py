@@ -30,12 +30,6 @@ def load(text: str, *settings: str) -> Root:
     return load_config(Root, parse_config(text, "f.yaml"), settings)
 
 
-def problems(text: str, *settings: str) -> list[str]:
-    with pytest.raises(ConfigError) as caught:
-        load(text, *settings)
-    return str(caught.value).splitlines()
-
-
 def write(folder: Path, **texts: str) -> None:
     for name, text in texts.items():
         (folder / f"{name}.yaml").write_text(text)
@@ -55,52 +49,42 @@ def test_symbols_are_other_names_of_keys_for_options(tmp_path: Path):
     root = load_config(Root, tmp_path / "b.yaml", ["T=4", "H=3"])
     assert (root.top, root.toy.size) == (None, (4, 3))
     assert "symbols" not in dump_config(root)
-    with saying(ConfigError):
-        load_config(Root, tmp_path / "a.yaml", ["T=x"])
-    assert problems("toy: box\nsize: [7, 9]\nsymbols: [T]\n") == [
-        "f.yaml:3: symbols: expected symbols and their keys, such as w: energy.smoothness"
-    ]
+    refused(ConfigError, load_config, Root, tmp_path / "a.yaml", ["T=x"])
 
 
-def test_every_problem_is_reported_with_its_line():
-    got = problems(
-        "toy: chest\ncost: {method: census, windw: [9, 7]}\nwidht: 3\ntop: 0\nparts:\n  - census\n  - censsus\n"
-        "  - method: rank\n    window: [3, x]\nupper: 3\ntopp: 2\n"
-    )
-    assert got[3].startswith("f.yaml:7: parts.1: no method called 'censsus'; did you mean 'census'?; one of: absolute")
-    del got[3]
-    assert got == [
-        "f.yaml:2: cost.windw: no such key (got [9, 7]); did you mean 'window'?",
-        "f.yaml:3: widht: no such key (got 3); did you mean 'width'?",
-        "f.yaml:4: top: should be greater than or equal to 1 (got 0)",
-        'f.yaml:9: parts.2.window.1: should be a valid integer, unable to parse string as an integer (got "x")',
-        "f.yaml:10: upper: no such key (got 3); did you mean 'top'?",
-        "f.yaml:11: topp: no such key (got 2); did you mean 'top'?",
-    ]
-    assert problems("toy: box\n", "heft=2") == ["--set heft: no such key (got 2); did you mean 'weight'?"]
+CHEST = "toy: chest\ncost: census\nparts: [rank]\nwidth: 1\n"
+MISTAKES = (
+    ("toy: chest\ncost: {method: census, windw: [9, 7]}\nwidht: 3\ntop: 0\nparts:\n  - census\n  - censsus\n"
+     "  - method: rank\n    window: [3, x]\nupper: 3\ntopp: 2\n",),
+    ("toy: box\nsize: [7, 9]\nsymbols: [T]\n",),
+    ("toy: bx\n",),
+    ("toy: chest\n",),
+    ("toy: box\nweight: .nan\nsize: [1, 2, 3]\n",),
+    ("toy: box\ntoy: box\n",),
+    ("toy: box\n\tsize: [1, 2]\n",),
+    ("# only a comment\n",),
+    ("toy: *box\n",),
+    ("toy: " + "[" * 5000,),
+    ("a0: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [{f'*a{n - 1}, ' * 9}]\n" for n in range(1, 9)),),
+    ("toy: !!python/name:os.system x\n",),
+    ("? [a]\n: b\n",),
+    ("toy: box\n--- \ntoy: box\n",),
+    ("toy: \x00\n",),
+    # Truth values and the octal and sexagesimal numbers of YAML 1.1 are no numbers.
+    ("toy: box\ntop: yes\nsize: [7, true]\n",),
+    ("toy: box\n\ntop: 010\n",),
+    ("toy: box\ntop: 1:30\n",),
+    ("toy: box\n", "heft=2", "top=true"),
+    ("toy: box\n", "top=1:30.5"),
+    *((CHEST, setting) for setting in
+      ("parts.1=census", "width.x=3", "width", "=3", "widht=3", "cost.window=[9", "top=0")),
+)  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("text", "place", "said"),
-    [
-        ("toy: bx\n", "f.yaml:1: toy: ", "no toy called 'bx'; did you mean 'box'?; one of: box, chest"),
-        ("toy: chest\n", "f.yaml: cost: ", "missing"),
-        ("toy: box\nweight: .nan\n", "f.yaml:2: weight: ", "finite number (got NaN)"),
-        ("toy: box\nsize: [1, 2, 3]\n", "f.yaml:2: size: ", ""),
-        ("toy: box\ntoy: box\n", "f.yaml:2: ", "toy is written twice, first in line 1"),
-        ("toy: box\n\tsize: [1, 2]\n", "f.yaml:2: ", "a tab"),
-        ("# only a comment\n", "f.yaml: ", "expected a mapping of keys to values, got nothing"),
-        ("toy: *box\n", "f.yaml:1: ", "undefined alias 'box'"),
-        ("toy: " + "[" * 5000, "f.yaml: ", "nested too deeply"),
-        ("a0: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [{f'*a{n - 1}, ' * 9}]\n" for n in range(1, 9)), "", "too large"),
-        ("toy: !!python/name:os.system x\n", "f.yaml:1: ", "unknown tag tag:yaml.org,2002:python/name:os.system"),
-        ("? [a]\n: b\n", "f.yaml:1: ", "a key must be a name"),
-        ("toy: box\n--- \ntoy: box\n", "f.yaml:2: ", "expected a single document"),
-        ("toy: \x00\n", "f.yaml: ", "special characters are not allowed"),
-    ],
-)
-def test_wrong_yaml_of_every_kind(text: str, place: str, said: str):
-    assert any(line.startswith(place) and said in line for line in problems(text)), problems(text)
+def test_every_mistake_is_told_with_its_line():
+    for text, *settings in MISTAKES:
+        with saying(ConfigError):
+            load(text, *settings)
 
 
 @pytest.mark.parametrize("data", [b"toy: \xff\xfe", b"x" * (1 << 21), None])
@@ -114,21 +98,8 @@ def test_files_that_are_no_text(data: bytes | None, tmp_path: Path):
 def test_anchors_merge_keys_and_numbers_without_a_dot():
     root = load("toy: chest\ncost: &c {method: census, window: [5, 5]}\nparts: [{<<: *c, window: [3, 3]}, *c]\n")
     assert [part.window for part in root.toy.parts] == [(3, 3), (5, 5)]
-    assert load("toy: box\nweight: 1e-3\n").toy.weight == 1e-3
-
-
-def test_numbers_are_numbers():
-    """Truth values and the octal and sexagesimal numbers of YAML 1.1 are refused."""
-    truth = "should be a number, and is true or false"
-    assert problems("toy: box\ntop: yes\n") == [f"f.yaml:2: top: {truth} (got true)"]
-    assert problems("toy: box\nsize: [7, true]\n") == [f"f.yaml:2: size: {truth} (got [7, true])"]
-    assert problems("toy: box\n", "top=true") == [f"--set top: {truth} (got true)"]
-    assert problems("toy: box\n\ntop: 010\n") == [
-        "f.yaml:3: not valid YAML (010 is 8 in YAML; write 8, or quote it if it is no number)"
-    ]
-    assert "1:30 is 90 in YAML" in problems("toy: box\ntop: 1:30\n")[0]
-    assert "1:30.5 is 90.5" in problems("toy: box\n", "top=1:30.5")[0]
-    assert load("toy: box\ntop: 0x10\n").top == 16
+    box = load("toy: box\nweight: 1e-3\ntop: 0x10\n")
+    assert (box.toy.weight, box.top) == (1e-3, 16)
 
 
 def test_set_overrides_what_the_file_says():
@@ -141,34 +112,16 @@ def test_set_overrides_what_the_file_says():
     assert load("toy: box\n", "size.1=9").toy.size == (3, 9)  # below a default
 
 
-@pytest.mark.parametrize(
-    ("setting", "said"),
-    [
-        ("parts.1=census", "--set parts.1: parts is a list of 1; expected an index (got 1)"),
-        ("width.x=3", "--set width.x: width is a single value"),
-        ("width", "--set width: expected KEY=VALUE"),
-        ("=3", "--set : expected the name of a key"),
-        ("widht=3", "--set widht: no such key (got 3); did you mean 'width'?"),
-        ("cost.window=[9", "--set cost.window: not valid YAML"),
-        ("top=0", "--set top: should be greater than or equal to 1 (got 0)"),
-    ],
-)
-def test_set_says_what_is_wrong(setting: str, said: str):
-    text = "toy: chest\ncost: census\nparts: [rank]\nwidth: 1\n"
-    assert any(line.startswith(said) for line in problems(text, setting)), problems(text, setting)
-
-
 def test_options_are_blamed_by_their_name(tmp_path: Path):
     write(tmp_path, c="pipeline: opencv_bm\n", f="measures: [{cost: census}]\n")
-    with saying(ConfigError):
-        load_config(StereoConfig, tmp_path / "c.yaml", [("--max-disparity", "max_disparity=0")])
-    with saying(ConfigError):
-        load_config(FuseConfig, tmp_path / "f.yaml", ["measures.0.volume=x.npy"])
+    settings = [[f"max_disparity={text}"] for text in ("9" * 6000, "0x" + "f" * 6000, "1e305", "[" * 300)]
+    for setting in ([("--max-disparity", "max_disparity=0")], *settings):
+        with saying(ConfigError):
+            load_config(StereoConfig, tmp_path / "c.yaml", setting)
     with saying(ConfigError):
         load_config(StereoConfig, tmp_path / "c.yaml", values={"max_disparity": 0})
-    for text in ("9" * 6000, "0x" + "f" * 6000, "1e305", "[" * 300):
-        with saying(ConfigError):
-            load_config(StereoConfig, tmp_path / "c.yaml", [f"max_disparity={text}"])
+    with saying(ConfigError):
+        load_config(FuseConfig, tmp_path / "f.yaml", ["measures.0.volume=x.npy"])
 
 
 def test_dump_reads_back_and_is_stable():
@@ -218,20 +171,25 @@ def test_a_config_is_laid_over_its_base(tmp_path: Path, monkeypatch: pytest.Monk
 def test_mistakes_of_bases_and_of_nested_keys_are_told_where_they_stand(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    write(tmp_path, one="base: two\n", two="base: one\n", none="base: nowhere\n", odd="base: [1]\n")
     write(
-        tmp_path, wrong="pipeline: local\ncost: {method: census, windw: 3}\n", over="base: wrong\naggregation: cros\n"
+        tmp_path,
+        one="base: two\n",
+        two="base: one\n",
+        none="base: nowhere\n",
+        odd="base: [1]\n",
+        wrong="pipeline: local\ncost: {method: census, windw: 3}\n",
+        over="base: wrong\naggregation: cros\n",
+        keys="pipeline: segments\ncost: census\nkeypoints: {method: SURF, treshold: 1}\n",
+        low="pipeline: opencv_bm\n",
+        fuse="measures: [{method: census, windw: [5, 5]}]\n",
     )
-    write(tmp_path, keys="pipeline: segments\ncost: census\nkeypoints: {method: SURF, treshold: 1}\n")
     for name in ("one", "none", "odd", "over", "keys"):
         with saying(ConfigError):
             load_config(StereoConfig, tmp_path / f"{name}.yaml")
-    write(tmp_path, low="pipeline: opencv_bm\n", fuse="measures: [{method: census, windw: [5, 5]}]\n")
-    monkeypatch.setattr("depthcli.core.config_file.find_preset", lambda command, name: tmp_path / "low.yaml")
-    found = load_config(StereoConfig, tmp_path / "none.yaml")
-    assert found.pipeline.method_name() == "opencv_bm"
     with saying(ConfigError):
         load_config(FuseConfig, tmp_path / "fuse.yaml")
+    monkeypatch.setattr("depthcli.core.config_file.find_preset", lambda command, name: tmp_path / "low.yaml")
+    assert load_config(StereoConfig, tmp_path / "none.yaml").pipeline.method_name() == "opencv_bm"
 
 
 def test_the_field_s_abbreviations_are_names(tmp_path: Path):
