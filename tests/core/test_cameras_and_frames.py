@@ -17,35 +17,23 @@ MATRIX = np.array([[190.0, 0, 98], [0, 192, 77], [0, 0, 1]])
 CAMERA = Camera(MATRIX, (0.05, -0.03, 0.001, -0.001, 0.0))
 
 
-@pytest.mark.parametrize(
-    ("matrix", "distortion", "fisheye"),
-    [
+def test_impossible_cameras_and_rigs_are_refused():
+    for matrix, lens, fisheye in (
         (np.zeros((3, 3)), (0,) * 5, False),
         (np.full((3, 3), np.nan), (0,) * 5, False),
         (np.ones((3, 3)), (0,) * 5, False),
         (MATRIX, (0.1, 0.2), False),
         (MATRIX, (0,) * 5, True),
         (MATRIX, (0, 0, 0, np.inf), False),
-    ],
-)
-def test_impossible_cameras_are_refused(matrix, distortion, fisheye):
-    refused(InputError, Camera, matrix, distortion, None, fisheye)
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"rotation": 2 * np.eye(3)},
-        {"rotation": -np.eye(3)},
-        {"rotation": np.eye(2)},
-        {"translation": np.zeros(3)},
-        {"translation": np.array([np.nan, 0, 0])},
-        {"right": Camera(MATRIX, (0,) * 4, None, True)},
-    ],
-)
-def test_impossible_rigs_are_refused(changes):
+    ):
+        refused(InputError, Camera, matrix, lens, None, fisheye)
     values = {"left": CAMERA, "right": CAMERA, "rotation": np.eye(3), "translation": np.array([-0.1, 0, 0])}
-    refused(InputError, Rig, **{**values, **changes})
+    for changes in (
+        *({"rotation": matrix} for matrix in (2 * np.eye(3), -np.eye(3), np.eye(2))),
+        *({"translation": shift} for shift in (np.zeros(3), np.array([np.nan, 0, 0]))),
+        {"right": Camera(MATRIX, (0,) * 4, None, True)},
+    ):
+        refused(InputError, Rig, **{**values, **changes})
 
 
 def test_a_camera_sees_a_point_on_the_ray_of_its_pixel_and_of_two_the_nearer_one():
@@ -80,6 +68,10 @@ def test_both_images_share_one_scale_and_larger_samples_are_white():
     pair = StereoPair(left, right, 12)
     assert [int(image[0, 0, 0]) for image in pair.color8] == [255, 62]
     assert int(StereoPair(left, right, 10).grey8[0][0, 0]) == 255
+    byte = np.zeros((2, 2), np.uint8)
+    assert StereoPair(byte, byte, 8).grey[0] is byte
+    for bits in (0, 9):  # do not fit the type
+        refused(ValueError, StereoPair, byte, byte, bits)
 
 
 def test_infrared_is_white_above_999_of_1000_pixels():
@@ -93,13 +85,6 @@ def test_color_and_depth_of_a_frame_fit():
     for wrong in ((color[..., 0], depth), (color, depth[1:]), (color, depth.astype(np.float64)), (color / 2, depth)):
         with pytest.raises(ValueError, match="expected"):
             RgbdFrame(*wrong)
-
-
-def test_bits_must_fit_the_type():
-    image = np.zeros((2, 2), np.uint8)
-    assert StereoPair(image, image, 8).grey[0] is image
-    for bits in (0, 9):
-        refused(ValueError, StereoPair, image, image, bits)
 
 
 WORLD = ((2, 1), (1, -1), (0, -1))
@@ -141,10 +126,9 @@ def test_all_48_orientations_are_shown_alike(order, signs, degrees):
         assert (np.diff(towards_first_side, axis=axis) < 0).all()
         middle = [n // 2 if k != axis else slice(None) for k, n in enumerate(towards_first_side.shape)]
         first, step = grid.slice_positions(axis)
-        assert step == pytest.approx(np.diff(towards_first_side[tuple(middle)])[0])
+        along = towards_first_side[tuple(middle)]
+        assert step == pytest.approx(np.diff(along)[0])
         if degrees == 0:
-            assert first + step * np.arange(towards_first_side.shape[axis]) == pytest.approx(
-                towards_first_side[tuple(middle)]
-            )
+            assert first + step * np.arange(len(along)) == pytest.approx(along)
             assert -step == pytest.approx(grid.spacing[2 - grid.anatomical_axes()[0][axis]])
     assert len(ENDS) == 3
