@@ -1,7 +1,6 @@
 """Devices: what a user reads of them; tests of device implementations in a process of their own (drivers crash)."""
 
 import importlib.resources
-import json
 import os
 import subprocess
 import sys
@@ -19,6 +18,7 @@ from depthcli.core.errors import ConfigError
 from depthcli.device import DeviceError, DeviceInfo, Kernels, Launch, find_device, open_device
 from depthcli.device.cuda import OPTIONS
 from depthcli.device.dialect import COMMON, CUDA
+from tests.command_line import rows
 from tests.device import nvrtc
 from tests.golden import refused
 
@@ -68,27 +68,6 @@ def test_files_with_macros_are_compiled_with_others_than_their_defaults():
     assert {file.name for file in FILES if "\n#ifndef " in file.read_text("utf-8")} == {*MACROS}
 
 
-def pocl(error: str) -> MagicMock:
-    """Stands for the package pyopencl with PoCL, whose compiler may not know the processor."""
-    module = MagicMock(Error=RuntimeError, device_type=SimpleNamespace(GPU=4))
-    device = SimpleNamespace(version="OpenCL 3.0 PoCL", name="a processor", type=2, global_mem_size=1 << 33)
-    module.get_platforms.return_value = [SimpleNamespace(name="PoCL", get_devices=lambda: [device])]
-    module.Program.return_value.build.side_effect = RuntimeError(error) if error else None
-    return module
-
-
-@pytest.mark.parametrize("error", ["", "clBuildProgram failed\n\nerror: unknown target CPU 'generic'"])
-def test_a_processor_that_pocl_does_not_know_is_no_device(monkeypatch, error):
-    monkeypatch.setitem(sys.modules, "pyopencl", pocl(error))
-    depthcli.device.opencl._handles.cache_clear()
-    try:
-        found, why = depthcli.device.opencl.find_devices()
-        assert len(found) == (0 if error else 1)
-        assert ("unknown target CPU 'generic'" in why) == bool(error)
-    finally:
-        depthcli.device.opencl._handles.cache_clear()
-
-
 @pytest.mark.system
 def test_without_devices_all_that_needs_one_is_skipped_with_the_reason(tmp_path):
     for name in ("pyopencl", "cupy"):
@@ -126,20 +105,13 @@ def test_what_names_mean(two_devices, monkeypatch):
     assert find_device("auto") is None  # without a card the processor
 
 
-def test_no_device_is_one_line_before_anything_is_written(tmp_path, capsys, made_scenes, monkeypatch):
-    monkeypatch.setattr(depthcli.device.opencl, "find_devices", lambda: ([], "no driver"))
-    code = main(["stereo", "fast", "-i", str(made_scenes), "-o", str(tmp_path / "run"), "--device", "opencl"])
-    assert code == 2
-    assert capsys.readouterr().err.strip() == "depthcli: device opencl: no device: no driver"
-    assert not (tmp_path / "run").exists()
-
-
-def test_devices_says_why_there_is_none(tool, monkeypatch):
+def test_without_a_device_its_reason_is_told_before_anything_is_written(tool, tmp_path, made_scenes, monkeypatch):
     for kind in (depthcli.device.opencl, depthcli.device.cuda):
         monkeypatch.setattr(kind, "find_devices", lambda: ([], "no driver"))
+    tool.told(2, "stereo", "fast", "-i", made_scenes, "-o", tmp_path / "run", "--device", "opencl")
+    assert not (tmp_path / "run").exists()
     out, err = tool.both(0, "stereo", "--device", "list")
-    assert out == ""
-    assert "opencl: no driver; cuda: no driver" in err
+    assert out == "" and "opencl: no driver; cuda: no driver" in err
 
 
 @pytest.fixture
@@ -158,13 +130,10 @@ def small_device(monkeypatch):
     return device
 
 
-@pytest.mark.parametrize(
-    ("memory", "messages"),
-    [
-        (1 << 20, ("planes_0: needs about", "on opencl:1 (a card), which has 1 MiB")),
-        (1 << 33, ("planes_0: opencl:1 (a card) failed: the driver is gone",)),
-    ],
-)
+@pytest.mark.parametrize(("memory", "messages"), [
+    (1 << 20, ("planes_0: needs about", "on opencl:1 (a card), which has 1 MiB")),
+    (1 << 33, ("planes_0: opencl:1 (a card) failed: the driver is gone",)),
+])  # fmt: skip
 def test_too_little_memory_or_a_driver_that_fails_costs_the_scene(
     tmp_path, tool, made_scenes, small_device, memory, messages
 ):
@@ -176,11 +145,9 @@ def test_too_little_memory_or_a_driver_that_fails_costs_the_scene(
 
 
 def test_a_pipeline_without_kernels_says_that_it_ran_on_the_processor(tmp_path, made_scenes, small_device):
-    output = tmp_path / "run"
-    scene = ["-i", str(made_scenes), "-o", str(output), "--scenes", "planes_0"]
+    scene = ["-i", str(made_scenes), "-o", str(tmp_path / "run"), "--scenes", "planes_0"]
     assert main(["stereo", "opencv-bm", *scene, "--device", "auto", "-q"]) == 0
-    (row,) = json.loads((output / "report.json").read_text())["scenes"]
-    assert row["device"] == "cpu: opencv_bm has no kernels for opencl:1, a small card"
+    assert rows(tmp_path / "run")["planes_0"]["device"] == "cpu: opencv_bm has no kernels for opencl:1, a small card"
 
 
 class Stored(np.ndarray):
@@ -243,21 +210,23 @@ def pyopencl() -> MagicMock:
     return module
 
 
-@pytest.fixture(params=[("cuda", "cupy", cupy), ("opencl", "pyopencl", pyopencl)], ids=["cuda", "opencl"])
+@pytest.fixture(params=["cuda", "opencl"])
 def card(request, monkeypatch):
-    kind, name, make = request.param
-    module, backend = make(), getattr(depthcli.device, kind)
+    """Kind, package, and what forgets the devices that it found."""
+    kind = request.param
+    name, module = {"cuda": ("cupy", cupy), "opencl": ("pyopencl", pyopencl)}[kind]
+    module = module()
     for part, value in ((name, module), (f"{name}.tools", module.tools)):
         monkeypatch.setitem(sys.modules, part, value)
     monkeypatch.setattr(depthcli.device, "_open", {})
-    handles = backend.find_devices if kind == "cuda" else backend._handles
-    handles.cache_clear()
-    yield kind, module
-    handles.cache_clear()
+    forget = {"cuda": depthcli.device.cuda.find_devices, "opencl": depthcli.device.opencl._handles}[kind].cache_clear
+    forget()
+    yield kind, module, forget
+    forget()
 
 
 def test_a_card_copies_runs_and_is_timed_by_either_package(card):
-    kind, _ = card
+    kind = card[0]
     info = find_device(kind)
     assert (info.address, info.name, info.memory, info.is_gpu) == (f"{kind}:0", "a card", 1 << 20, True)
     assert info.driver == {"cuda": "CUDA 12.4", "opencl": "a platform, OpenCL 1.2"}[kind]
@@ -278,36 +247,38 @@ def test_a_card_copies_runs_and_is_timed_by_either_package(card):
     assert device.measure_operations() == pytest.approx(64 * 8 * 4 * 2 * (1 << 20) / 0.5e-3)
 
 
-def test_too_little_memory_of_a_card_is_said(card):
-    kind, module = card
+def test_what_goes_wrong_with_a_card_is_said(card):
+    kind, module, forget = card
+    device, kernels = open_device(kind), Kernels("depthcli.device", "benchmarks.cl")
 
     def full(*_):
         raise MemoryError("all of it is in use")
 
-    device = open_device(kind)
+    def fail_from_now_on(message, *functions):
+        for function in functions:
+            function.side_effect = RuntimeError(message)
+
+    message = "clBuildProgram failed\n<kernel>:1: error: unknown type name 'x'"
+    fail_from_now_on(message, module.Program.return_value.build, module.RawModule)
+    refused(DeviceError, device.launch, kernels, "add_one", (9, 16), (4, 8))
     module.empty = module.tools.MemoryPool.return_value.allocate = full
     refused(DeviceError, device.empty, (4, 5), np.float32)
-
-
-def test_a_card_that_cannot_be_opened_is_said(card):
-    kind, module = card
-    assert find_device(kind) is not None
-    module.cuda.Device.return_value.use.side_effect = RuntimeError("lost")
-    module.CommandQueue.side_effect = RuntimeError("lost")
+    depthcli.device._open.clear()
+    fail_from_now_on("lost", module.cuda.Device.return_value.use, module.CommandQueue)
     refused(DeviceError, open_device, kind)
-
-
-def test_a_driver_that_does_not_answer_is_no_device(card):
-    kind, module = card
-    module.cuda.runtime.getDeviceCount.side_effect = RuntimeError("driver is too old\nmore")
-    module.get_platforms.side_effect = RuntimeError("driver is too old\nmore")
+    forget()
+    fail_from_now_on("driver is too old\nmore", module.cuda.runtime.getDeviceCount, module.get_platforms)
     found, why = getattr(depthcli.device, kind).find_devices()
     assert found == [] and "driver is too old" in why and "more" not in why
 
 
-def test_a_kernel_that_the_compiler_refuses_is_named(card):
-    kind, module = card
-    device = open_device(kind)
-    for compile_ in (module.Program.return_value.build, module.RawModule):
-        compile_.side_effect = RuntimeError("clBuildProgram failed\n<kernel>:1: error: unknown type name 'x'")
-    refused(DeviceError, device.launch, Kernels("depthcli.device", "benchmarks.cl"), "add_one", (9, 16), (4, 8))
+@pytest.mark.parametrize("card", ["opencl"], indirect=True)
+@pytest.mark.parametrize("error", ["", "clBuildProgram failed\n\nerror: unknown target CPU 'generic'"])
+def test_a_processor_that_pocl_does_not_know_is_no_device(card, error):
+    module = card[1]
+    (device,) = module.get_platforms()[0].get_devices()
+    device.version, device.type = "OpenCL 3.0 PoCL", 2
+    module.Program.return_value.build.side_effect = RuntimeError(error) if error else None
+    found, why = depthcli.device.opencl.find_devices()
+    assert len(found) == (0 if error else 1)
+    assert ("unknown target CPU 'generic'" in why) == bool(error)
