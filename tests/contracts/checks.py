@@ -1,5 +1,6 @@
 """What every member of a family promises: a function a promise, beside those of ``depthcli.testing``."""
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -54,15 +55,17 @@ def mean_of_equal_costs_is_that_cost(aggregate):
 
 
 @of("methods.stereo.aggregation")
-def means_lie_between_the_costs(aggregate):
+def means_lie_between_the_costs_at_any_number_of_threads(aggregate):
     for height, width, disparities in TINY:
-        for dtype, color in [(dtype, color) for dtype in TYPES[:2] for color in (False, True)]:
+        for dtype, color in itertools.product(TYPES[:2], (False, True)):
             volume = random_volume(height, width, disparities, dtype, seed=width)
             result = aggregate(volume, blocky_pair(height, width, color))
             assert result.costs.shape == volume.costs.shape and result.costs.dtype == np.uint16
             ratio = result.scale / volume.scale
             assert result.costs.min() >= volume.costs.min() * ratio - 16  # iterated integer means lose some steps
             assert result.costs.max() <= min(volume.costs.max() * ratio + 1, 255 * 16)
+    pair, volume = blocky_pair(41, 70), random_volume(41, 70, 37, np.uint16)
+    assert_pure(lambda: aggregate(volume, pair).costs, volume.costs, pair.left, pair.right)
 
 
 @of("methods.stereo.aggregation")
@@ -102,12 +105,6 @@ def disparities_do_not_mix(aggregate):
     assert np.any(after[:, :, 7][within] != before[:, :, 7][within])
 
 
-@of("methods.stereo.aggregation")
-def same_costs_at_any_number_of_threads(aggregate):
-    pair, volume = blocky_pair(41, 70), random_volume(41, 70, 37, np.uint16)
-    assert_pure(lambda: aggregate(volume, pair).costs, volume.costs, pair.left, pair.right)
-
-
 # Pipelines.
 
 
@@ -120,10 +117,13 @@ def assert_in_range(found, shape, top):
 
 
 @of("methods.stereo.pipeline")
-def a_plane_has_its_disparity(pipeline):
+def a_plane_has_its_disparity_at_any_number_of_threads(pipeline):
     for color in (False, True):
         found = pipeline(shifted_pair(60, 100, 6, color), 15).disparity.values[12:-12, 28:-12]
         assert np.mean(np.abs(found - 6) <= 1) >= 0.9
+    pair = shifted_pair(41, 70, 3, noise=9)
+    assert_pure(lambda: np.nan_to_num(pipeline(pair, 15).disparity.values, nan=-1), pair.left, pair.right)
+    assert 0 < pipeline.peak_bytes((60, 100), 15) <= pipeline.peak_bytes((600, 1000), 15)
 
 
 @of("methods.stereo.pipeline")
@@ -131,13 +131,6 @@ def pairs_of_any_size_have_values_within_the_range_or_a_reason(pipeline):
     for height, width, disparities in TINY:
         found = pipeline(shifted_pair(height, width, 1, seed=width), disparities - 1).disparity
         assert_in_range(found, (height, width), disparities - 1)
-
-
-@of("methods.stereo.pipeline")
-def same_disparities_at_any_number_of_threads(pipeline):
-    pair = shifted_pair(41, 70, 3, noise=9)
-    assert_pure(lambda: np.nan_to_num(pipeline(pair, 15).disparity.values, nan=-1), pair.left, pair.right)
-    assert 0 < pipeline.peak_bytes((60, 100), 15) <= pipeline.peak_bytes((600, 1000), 15)
 
 
 def assert_depth(result, frame):
@@ -151,13 +144,14 @@ def assert_depth(result, frame):
 
 
 @of("methods.kinect.pipeline")
-def gaps_are_filled(pipeline):
+def gaps_are_filled_at_any_number_of_threads(pipeline):
     frame, truth = gaps()
     result = pipeline(frame)
     assert_depth(result, frame)
     gap = np.isnan(frame.depth)
     assert np.isfinite(result.depth.values[gap]).mean() > 0.9
     assert np.mean(np.abs(result.depth.values - truth)[gap] < 0.05 * truth[gap]) > 0.7
+    assert_pure(lambda: pipeline(frame).depth.values, frame.color, frame.depth)
 
 
 @of("methods.kinect.pipeline")
@@ -171,14 +165,8 @@ def frames_of_any_size_keep_their_depth(pipeline):
     refused(ValueError, pipeline, RgbdFrame(np.zeros((8, 9, 3), np.uint8), np.full((8, 9), np.nan, np.float32)))
 
 
-@of("methods.kinect.pipeline")
-def same_depth_at_any_number_of_threads(pipeline):
-    frame, _ = gaps(1)
-    assert_pure(lambda: pipeline(frame).depth.values, frame.color, frame.depth)
-
-
 @of("methods.transparent.pipeline")
-def every_pixel_has_a_depth(pipeline):
+def every_pixel_has_a_depth_at_any_number_of_threads(pipeline):
     frame, _, _ = glass()
     result = pipeline(frame)
     assert_depth(result, frame)
@@ -188,6 +176,7 @@ def every_pixel_has_a_depth(pipeline):
     np.testing.assert_array_equal(depth[kept], frame.depth[kept])
     np.testing.assert_array_equal(result.pictures["unreliable"] > 0, (status & DepthStatus.CORRECTED) > 0)
     assert sampled.any() == (pipeline.needs == "sparse") and not (sampled & (kept | np.isnan(frame.sparse))).any()
+    assert_pure(lambda: pipeline(frame).depth.values, frame.color, frame.depth, frame.sparse)
 
 
 @of("methods.transparent.pipeline")
@@ -199,12 +188,6 @@ def no_samples_are_no_error(pipeline):
     for sparse in (one, nothing):
         values = pipeline(replace(frame, sparse=sparse)).depth.values
         assert values.shape == frame.shape and not np.isinf(values).any()
-
-
-@of("methods.transparent.pipeline")
-def same_dense_depth_at_any_number_of_threads(pipeline):
-    frame, _, _ = glass(3)
-    assert_pure(lambda: pipeline(frame).depth.values, frame.color, frame.depth, frame.sparse)
 
 
 @of("methods.registration.pipeline")
@@ -219,8 +202,7 @@ def expected_errors_are_lengths_within_the_volume(pipeline):
     assert result.shift is None or result.shift.shape == (3, *error.shape)
     assert "mean_error" in result.figures
     assert_pure(lambda: pipeline(pair).expected_error, pair.fixed, pair.warped)
-    small, large = (pipeline.peak_bytes((n, n, n), (1.0, 1.0, 1.0)) for n in (20, 60))
-    assert 0 < small <= large
+    assert 0 < pipeline.peak_bytes((20, 20, 20), pair.spacing) <= pipeline.peak_bytes((60, 60, 60), pair.spacing)
 
 
 # Parts of pipelines.
@@ -272,7 +254,7 @@ def assert_points(points, shape):
 
 
 @of("algorithms.keypoints")
-def points_move_with_the_image(detector):
+def points_move_with_the_image_at_any_number_of_threads(detector):
     image = blobs()
     one, other = (detector(np.ascontiguousarray(each)) for each in (image[:, 8:], image[:, :-8]))
     assert_points(one, (120, 152))
@@ -281,11 +263,6 @@ def points_move_with_the_image(detector):
     for shape in ((1, 1), (1, 40), (40, 1), (7, 9), (33, 31)):
         for small in (np.full(shape, 90, np.uint8), blobs(*shape)):
             assert_points(detector(small), shape)
-
-
-@of("algorithms.keypoints")
-def same_points_at_any_number_of_threads(detector):
-    image = blobs(seed=1)
 
     def run():
         points = detector(image)
