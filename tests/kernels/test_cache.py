@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -48,37 +49,45 @@ print(watch.kernels, len(set(said)), watch.seconds > 0, cache_folder())
 """
 
 
-def use(
-    tmp_path: Path, before: str = "", source: str = "source", **environment: str
-) -> tuple[int, int, bool, str, str]:
-    """Kernels compiled, times it was said, seconds counted, cache folder, standard error of a new process."""
-    (tmp_path / source).mkdir(exist_ok=True)
-    if not (tmp_path / source / "toy_kernel.py").exists():
-        (tmp_path / source / "toy_kernel.py").write_text(KERNEL)
+class Used(NamedTuple):
+    """Of a new process."""
+
+    kernels: int  # that were compiled
+    said: int  # how often
+    timed: bool
+    folder: str  # of the cache
+    messages: str  # on stderr
+
+
+def use(tmp_path: Path, before: str = "", source: str = "source", **environment: str) -> Used:
+    file = tmp_path / source / "toy_kernel.py"
+    if not file.exists():
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(KERNEL)
     clean = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
     env = clean | {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)} | environment
-    command = [sys.executable, "-c", before + USE, str(tmp_path / source)]
+    command = [sys.executable, "-c", before + USE, str(file.parent)]
     done = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     kernels, said, timed, folder = done.stdout.split(maxsplit=3)
-    return int(kernels), int(said), timed == "True", folder.strip(), done.stderr
+    return Used(int(kernels), int(said), timed == "True", folder.strip(), done.stderr)
 
 
 @pytest.mark.slow
 def test_compiled_once_and_kept_in_the_users_cache(tmp_path: Path):
-    kernels, said, timed, folder, messages = use(tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache"))
-    assert (kernels, said, timed, messages) == (2, 1, True, "")
-    assert Path(folder) == tmp_path / "cache" / "depthcli" / "kernels"
-    assert list(Path(folder).rglob("*.kernel"))
+    own = {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    folder = tmp_path / "cache" / "depthcli" / "kernels"
+    assert use(tmp_path, **own) == (2, 1, True, str(folder), "")
+    assert list(folder.rglob("*.kernel"))
     assert not list((tmp_path / "source").rglob("*.kernel"))  # the package's own folder may be read-only
-    assert use(tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache")) == (0, 0, False, folder, "")
+    assert use(tmp_path, **own) == (0, 0, False, str(folder), "")
 
 
 @needs_proc
 @pytest.mark.slow
 def test_without_a_home_that_can_be_written_a_temporary_folder_serves(tmp_path: Path):
     nowhere = {"HOME": NOWHERE, "XDG_CACHE_HOME": NOWHERE}
-    folder = use(tmp_path, **nowhere)[3]
+    folder = use(tmp_path, **nowhere).folder
     assert Path(folder).parent.parent == tmp_path
     assert use(tmp_path, **nowhere) == (0, 0, False, folder, "")
 
@@ -88,9 +97,9 @@ def test_without_a_home_that_can_be_written_a_temporary_folder_serves(tmp_path: 
 @pytest.mark.parametrize("variable", ["NUMBA_CACHE_DIR", "TMPDIR"])
 def test_where_no_folder_can_be_written_kernels_are_compiled_in_memory_and_that_is_said_once(tmp_path, variable):
     before = "import tempfile; tempfile._candidate_tempdir_list = lambda: ['/proc/none']\n"
-    kernels, _, _, folder, messages = use(tmp_path, before, HOME=NOWHERE, XDG_CACHE_HOME=NOWHERE, **{variable: NOWHERE})
-    assert (kernels, folder) == (2, "None")
-    assert messages.count("no folder for compiled kernels can be written") == len(messages.splitlines()) == 1
+    used = use(tmp_path, before, HOME=NOWHERE, XDG_CACHE_HOME=NOWHERE, **{variable: NOWHERE})
+    assert (used.kernels, used.folder) == (2, "None")
+    assert used.messages.count("no folder for compiled kernels can be written") == used.messages.count("\n") == 1
     assert not list((tmp_path / "source").rglob("*.kernel"))
 
 
@@ -100,25 +109,25 @@ def flip(data: bytes) -> bytes:
 
 @pytest.mark.slow
 def test_damaged_files_are_compiled_again_and_that_is_said_once(tmp_path: Path):
-    mine = str(tmp_path / "mine")
-    use(tmp_path, NUMBA_CACHE_DIR=mine)
+    mine = tmp_path / "mine"
+    use(tmp_path, NUMBA_CACHE_DIR=str(mine))
     for damages in ((lambda data: b"", flip), (lambda data: data[:-9], lambda data: data[:2])):
-        for file, damage in zip(sorted((tmp_path / "mine").rglob("*.kernel")), damages, strict=True):
+        for file, damage in zip(sorted(mine.rglob("*.kernel")), damages, strict=True):
             file.write_bytes(damage(file.read_bytes()))
-        kernels, _, _, _, messages = use(tmp_path, NUMBA_CACHE_DIR=mine)
-        assert kernels == 2
-        assert messages.count("are damaged; they are compiled again") == len(messages.splitlines()) == 1
-    assert use(tmp_path, NUMBA_CACHE_DIR=mine)[0] == 0
+        used = use(tmp_path, NUMBA_CACHE_DIR=str(mine))
+        assert used.kernels == 2
+        assert used.messages.count("are damaged; they are compiled again") == used.messages.count("\n") == 1
+    assert use(tmp_path, NUMBA_CACHE_DIR=str(mine)).kernels == 0
 
 
 @pytest.mark.slow
 def test_a_full_disk_only_means_that_nothing_is_kept(tmp_path: Path):
-    full = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
-    kernels, _, _, folder, messages = use(tmp_path, full, NUMBA_CACHE_DIR=str(tmp_path / "mine"))
-    assert (kernels, folder) == (2, str(tmp_path / "mine"))
-    assert messages.count("cannot be kept there") == len(messages.splitlines()) == 1
-    assert not [file for file in (tmp_path / "mine").rglob("*") if file.is_file()]
-    assert use(tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "mine"))[0] == 2
+    full, mine = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n", tmp_path / "mine"
+    used = use(tmp_path, full, NUMBA_CACHE_DIR=str(mine))
+    assert (used.kernels, used.folder) == (2, str(mine))
+    assert used.messages.count("cannot be kept there") == used.messages.count("\n") == 1
+    assert not [file for file in mine.rglob("*") if file.is_file()]
+    assert use(tmp_path, NUMBA_CACHE_DIR=str(mine)).kernels == 2
 
 
 SUMS = """
@@ -178,21 +187,17 @@ def test_kernels_read_constants_of_files_with_kernels_alone():
 
 @pytest.mark.system
 def test_a_moved_package_finds_its_kernels(tmp_path: Path):
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "toy_kernel.py").write_text(KERNEL)
-    counts = [use(tmp_path, source=name, NUMBA_CACHE_DIR=str(tmp_path / "mine"))[0] for name in ("one", "two")]
+    mine = {"NUMBA_CACHE_DIR": str(tmp_path / "mine")}
+    assert [use(tmp_path, source=name, **mine).kernels for name in ("one", "two")] == [2, 0]
     (tmp_path / "two" / "toy_kernel.py").write_text(KERNEL.replace("x + 1", "x + 1 + 0"))
-    counts.append(use(tmp_path, source="two", NUMBA_CACHE_DIR=str(tmp_path / "mine"))[0])
-    assert counts == [2, 0, 2]
+    assert use(tmp_path, source="two", **mine).kernels == 2
 
 
 def test_folders_that_nothing_used_for_a_month_are_removed(tmp_path: Path):
-    names = ("a" * 20, "b" * 20, "depthcli.methods", "others")
-    for name in names:
+    for name in ("a" * 20, "b" * 20, "depthcli.methods", "others"):
         (tmp_path / name).mkdir()
-    for name in ("a" * 20, "depthcli.methods", "others"):
-        os.utime(tmp_path / name, (1, 1))
+        if name[0] != "b":
+            os.utime(tmp_path / name, (1, 1))
     own = cache._kernel_folder.__wrapped__(tmp_path)
     assert {each.name for each in tmp_path.iterdir()} == {"b" * 20, "others", own.name}
 
@@ -234,24 +239,17 @@ def test_kernels_take_numba_from_one_place():
     assert {file.parent for file in files} == {ROOT / "depthcli" / "kernels"}
 
 
-def test_a_folder_that_somebody_else_made_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    if not hasattr(os, "getuid"):
-        pytest.skip("needs owners of files")
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    folders = [tmp_path / "kernels", tmp_path / "other"]
-    monkeypatch.setattr(cache, "_candidates", lambda: folders)
-    assert cache.cache_folder.__wrapped__() == folders[0]
-    monkeypatch.setattr(os, "getuid", lambda: 12345)
-    assert cache.cache_folder.__wrapped__() is None
-
-
-@pytest.mark.parametrize("planted", ["", "kernels"])
-def test_a_folder_in_which_others_can_write_is_not_trusted(planted: str, tmp_path: Path, monkeypatch):
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs owners of files")
+@pytest.mark.parametrize("danger", ["", "kernels", "owner"])
+def test_a_folder_in_which_others_can_write_is_not_trusted(danger: str, tmp_path: Path, monkeypatch):
     """Whoever may write in it, or in the folder in everybody's temporary folder that holds it, may exchange code."""
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setattr(cache, "_candidates", lambda: [tmp_path / "depthcli-1/kernels"])
     assert cache.cache_folder.__wrapped__() == tmp_path / "depthcli-1/kernels"
     assert (tmp_path / "depthcli-1").stat().st_mode & 0o777 == 0o700
-    (tmp_path / "depthcli-1" / planted).chmod(0o777)
+    if danger == "owner":
+        monkeypatch.setattr(os, "getuid", lambda: 12345)
+    else:
+        (tmp_path / "depthcli-1" / danger).chmod(0o777)
     assert cache.cache_folder.__wrapped__() is None
