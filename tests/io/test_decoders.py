@@ -1,6 +1,5 @@
 """What decoders give is compared with the header: values of every layout of samples, or one clear line."""
 
-from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -31,10 +30,9 @@ def stored(tmp_path: Path, values: np.ndarray, **options) -> Path:
 @pytest.mark.parametrize("compression", [None, "zlib"])
 def test_separate_planes(tmp_path: Path, dtype, compression):
     values = (RGB >> (0 if dtype == np.uint16 else 8)).astype(dtype)
-    planes = np.moveaxis(values, -1, 0)
-    path = stored(tmp_path, planes, photometric="rgb", planarconfig="separate", compression=compression)
-    np.testing.assert_array_equal(read_image(path), values)
-    assert read_image(path).dtype == dtype
+    options = {"photometric": "rgb", "planarconfig": "separate", "compression": compression}
+    read = read_image(stored(tmp_path, np.moveaxis(values, -1, 0), **options))
+    np.testing.assert_array_equal(read, values, strict=True)
 
 
 def test_transparency_and_inverse_grey_of_sixteen_bits(tmp_path: Path):
@@ -42,40 +40,30 @@ def test_transparency_and_inverse_grey_of_sixteen_bits(tmp_path: Path):
     np.testing.assert_array_equal(read_image(stored(tmp_path, WIDE[..., :2], **grey_alpha)), GREY)
     np.testing.assert_array_equal(read_image(stored(tmp_path, GREY, photometric="miniswhite")), 65535 - GREY)
     np.testing.assert_array_equal(read_image(stored(tmp_path, WIDE, photometric="rgb")), RGB)
-    with collected_warnings() as lines:
-        path = stored(tmp_path, WIDE, photometric="rgb", extrasamples=["unspecified"])
-        np.testing.assert_array_equal(read_image(path), RGB)
+    found, lines = warned(read_image, stored(tmp_path, WIDE, photometric="rgb", extrasamples=["unspecified"]))
+    np.testing.assert_array_equal(found, RGB)
     assert "a.tif" in lines[0] and "channel" in lines[0]
 
 
-@pytest.mark.parametrize(
-    ("values", "options"),
-    [
-        (WIDE, {"photometric": "minisblack", "planarconfig": "contig"}),
-        ((WIDE >> 8).astype(np.uint8), {"photometric": "minisblack", "planarconfig": "contig"}),
-        ((GREY >> 8).astype(np.float16), {}),
-        (RGB.astype(np.float32), {"photometric": "rgb"}),
-        (GREY.astype(np.int16), {}),
-    ],
-)
-def test_what_is_no_image_is_said_with_what_is_expected(tmp_path: Path, values, options):
-    refused(InputError, read_image, stored(tmp_path, values, **options))
+def test_what_is_no_image_is_said_with_what_is_expected(tmp_path: Path):
+    several = {"photometric": "minisblack", "planarconfig": "contig"}
+    for values, options in (
+        (WIDE, several), ((WIDE >> 8).astype(np.uint8), several), ((GREY >> 8).astype(np.float16), {}),
+        (RGB.astype(np.float32), {"photometric": "rgb"}), (GREY.astype(np.int16), {}),
+    ):  # fmt: skip
+        refused(InputError, read_image, stored(tmp_path, values, **options))
+    refused(InputError, read_plane, stored(tmp_path, RGB.astype(np.float32), photometric="rgb"))
 
 
 @pytest.mark.parametrize("dtype", ["f2", "f4", "f8", "i1", "i2", "i4", "u4", ">i2", ">f4", ">f2"])
 @pytest.mark.parametrize("compression", [None, "zlib"])
 def test_maps_of_every_kind_of_number(tmp_path: Path, dtype, compression):
     values = RNG.integers(-100, 100, (40, 50)) if "u" not in dtype else RNG.integers(0, 1 << 31, (40, 50))
-    values = values.astype(dtype) / 8 if "f" in dtype else values.astype(dtype)
-    values = values.astype(dtype)
+    values = (values.astype(dtype) / (8 if "f" in dtype else 1)).astype(dtype)
     order = {"byteorder": ">"} if dtype.startswith(">") else {}
     read = read_plane(stored(tmp_path, values, compression=compression, **order))
     np.testing.assert_array_equal(read, values)
     assert read.dtype.kind == values.dtype.kind
-
-
-def test_maps_of_several_channels_are_refused(tmp_path: Path):
-    refused(InputError, read_plane, stored(tmp_path, RGB.astype(np.float32), photometric="rgb"))
 
 
 def test_values_of_eight_bits_in_files_of_sixteen(tmp_path: Path):
@@ -102,25 +90,22 @@ def test_a_mosaic_is_named_and_textures_are_not(tmp_path: Path):
     for y, x, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
         mosaic[y::2, x::2] = scene[y::2, x::2, channel]
     images = {
-        "mosaic": mosaic,
-        "mosaic16": mosaic.astype(np.uint16) * 16,
-        "noise": RNG.integers(0, 256, (120, 160)).astype(np.uint8),
-        "grey": cv2.cvtColor(scene, cv2.COLOR_RGB2GRAY),
+        "mosaic": mosaic, "mosaic16": mosaic.astype(np.uint16) * 16, "grey": cv2.cvtColor(scene, cv2.COLOR_RGB2GRAY),
+        "noise": RNG.integers(0, 256, (120, 160)).astype(np.uint8), "flat": np.full((120, 160), 7, np.uint8),
         "stripes": np.tile(np.array([0, 200], np.uint8), (120, 80)),
-        "flat": np.full((120, 160), 7, np.uint8),
-    }
+    }  # fmt: skip
     for name, image in images.items():
-        write_png(tmp_path / f"{name}.png", image)
-        _, lines = warned(read_image, tmp_path / f"{name}.png")
+        write_png(tmp_path / "a.png", image)
+        _, lines = warned(read_image, tmp_path / "a.png")
         assert any("Bayer" in line for line in lines) == name.startswith("mosaic"), name
 
 
 def test_the_rest_of_a_file_of_several_images_is_refused_or_named(tmp_path: Path):
     grey = (GREY >> 8).astype(np.uint8)
-    pages = stored(tmp_path, np.stack([grey] * 3), photometric="minisblack")
+    pages = np.stack([grey] * 3)
     for read in (read_image, read_grey, read_plane):
-        refused(InputError, read, pages)
-    refused(InputError, read_plane, stored(tmp_path, np.stack([grey] * 3).astype(np.float32), photometric="minisblack"))
+        refused(InputError, read, stored(tmp_path, pages, photometric="minisblack"))
+    refused(InputError, read_plane, stored(tmp_path, pages.astype(np.float32), photometric="minisblack"))
     with tifffile.TiffWriter(tmp_path / "b.tif") as file:  # a pyramid has one image
         file.write(grey, photometric="minisblack")
         file.write(grey[::2, ::2], photometric="minisblack", subfiletype=1)
@@ -129,9 +114,7 @@ def test_the_rest_of_a_file_of_several_images_is_refused_or_named(tmp_path: Path
     frames[0].save(tmp_path / "a.png", save_all=True, append_images=frames[1:])
     refused(InputError, read_image, tmp_path / "a.png")
     for kind in ("GIF", "WEBP"):
-        file = BytesIO()
-        frames[0].save(file, kind, save_all=True, append_images=frames[1:])
-        (tmp_path / "g.png").write_bytes(file.getvalue())
+        frames[0].save(tmp_path / "g.png", kind, save_all=True, append_images=frames[1:])
         refused(InputError, read_image, tmp_path / "g.png")
     frames[0].save(tmp_path / "m.jpg", "MPO", save_all=True, append_images=frames[1:])
     (tmp_path / "n.pgm").write_bytes(2 * (b"P5 2 1 255\n" + bytes([7, 9])))

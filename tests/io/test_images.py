@@ -15,10 +15,12 @@ import pytest
 from depthcli.core.errors import InputError, OutputError
 from depthcli.core.maps import DepthStatus, Status
 from depthcli.io.formats import images
-from depthcli.io.formats.disparity import read_status, write_codes, write_pfm, write_status
-from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, collected_warnings, write_text
+from depthcli.io.formats.disparity import read_status, write_codes, write_status
+from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, write_text
 from depthcli.io.formats.images import bits_said, image_size, read_grey, read_image, read_pair, write_png
 from depthcli.show.view import DEPTH_STATUS_PALETTE, MEASURED_CODE, STATUS_PALETTE, status_colors, status_words
+from tests import damage
+from tests.files import laid
 from tests.golden import refused, warned
 
 
@@ -39,29 +41,22 @@ def png(width: int, height: int, depth: int, color: int, rows: bytes, *extra: tu
 @pytest.mark.parametrize("suffix", [".png", ".tiff", ".ppm"])
 def test_lossless_round_trip(tmp_path: Path, dtype, shape, suffix):
     array = np.random.default_rng(0).integers(0, np.iinfo(dtype).max + 1, shape).astype(dtype)
-    path = tmp_path / f"a{suffix}"
+    path = tmp_path / "a.png"  # the kind is told by the content
     if suffix == ".png":
         write_png(path, array)
     else:
-        name = str(path if len(shape) == 3 or suffix != ".ppm" else path.with_suffix(".pgm"))
-        cv2.imwrite(name, array if len(shape) == 2 else np.ascontiguousarray(array[..., ::-1]))
-        path = Path(name)
+        grey = len(shape) == 2
+        coded = cv2.imencode(".pgm" if grey and suffix == ".ppm" else suffix, array if grey else array[..., ::-1])
+        path.write_bytes(coded[1].tobytes())
     read = read_image(path)
-    assert read.dtype == dtype
-    assert read.flags.c_contiguous
+    assert read.dtype == dtype and read.flags.c_contiguous
     np.testing.assert_array_equal(read, array)
-
-
-def test_kind_is_told_by_content_and_color_is_rgb(tmp_path: Path):
-    red = np.zeros((16, 16, 3), np.uint8)
-    red[..., 2] = 250  # BGR
-    cv2.imwrite(str(tmp_path / "a.jpg"), red)
-    (tmp_path / "a.jpg").rename(tmp_path / "a.png")
-    assert read_image(tmp_path / "a.png")[8, 8, 0] > 240
 
 
 def test_transparency_is_dropped_and_palettes_are_resolved(tmp_path: Path):
     path = tmp_path / "a.png"
+    path.write_bytes(damage.encoded(".jpg", np.full((16, 16, 3), (0, 0, 250), np.uint8)))  # BGR
+    assert read_image(path)[8, 8, 0] > 240
     path.write_bytes(png(2, 1, 8, 4, bytes([0, 10, 0, 20, 255])))  # grey + alpha
     np.testing.assert_array_equal(read_image(path), [[10, 20]])
     path.write_bytes(png(1, 1, 8, 6, bytes([0, 1, 2, 3, 0])))  # RGBA, fully transparent
@@ -109,15 +104,12 @@ def test_equal_channels_are_one_channel_of_codes(tmp_path: Path):
 
 
 def test_what_is_no_image_is_said_in_one_line(tmp_path: Path):
-    (tmp_path / "text.png").write_text("hello")
-    (tmp_path / "empty.png").write_bytes(b"")
-    (tmp_path / "map.exr").write_bytes(b"\x76\x2f\x31\x01" + bytes(100))
+    laid(tmp_path, {"text.png": "hello", "empty.png": "", "map.exr": b"\x76\x2f\x31\x01" + bytes(100)})
     cv2.imwrite(str(tmp_path / "float.tiff"), np.ones((4, 4), np.float32))
     for name in ("text.png", "empty.png", "float.tiff", "map.exr", "absent.png", "."):
         with pytest.raises(InputError) as caught:
             read_image(tmp_path / name)
-        assert str(tmp_path) in str(caught.value)
-        assert "\n" not in str(caught.value)
+        assert str(tmp_path) in str(caught.value) and "\n" not in str(caught.value)
 
 
 def tiff(width: int, height: int, samples: int, bits: int, strip: bytes, compression: int, **tags: int) -> bytes:
@@ -132,18 +124,17 @@ def tiff(width: int, height: int, samples: int, bits: int, strip: bytes, compres
     return b"II*\0" + struct.pack("<I", 8 + len(strip)) + strip + struct.pack("<H", len(values)) + entries + bytes(4)
 
 
-def resized_jpeg(width: int, height: int, padding: int = 0) -> bytes:
-    code = bytearray(cv2.imencode(".jpg", np.zeros((8, 8), np.uint8))[1].tobytes())
+def resized_jpeg(width: int, height: int) -> bytes:
+    code = bytearray(damage.encoded(".jpg", np.zeros((8, 8), np.uint8)))
     at = code.index(b"\xff\xc0")
     code[at + 5 : at + 9] = struct.pack(">HH", height, width)
-    return bytes(code) + bytes(padding)
+    return bytes(code)
 
 
 @pytest.mark.parametrize("name", ["png", "png16", "jpg", "tiff", "tiff-deflate", "tiff-tiles", "pgm", "bmp"])
 def test_bombs_are_refused_by_their_header(tmp_path: Path, name):
     """Each would take 3 GiB or more to decode."""
-    size = 60_000
-    zeros = zlib.compress(bytes(4_000_000))
+    size, zeros = 60_000, zlib.compress(bytes(4_000_000))
     bombs = {
         "png": lambda: png(size, size, 8, 0, bytes(1_000_000)),
         "png16": lambda: png(size, size, 16, 6, bytes(4_000_000)),
@@ -174,25 +165,20 @@ def test_memory_that_may_be_used_is_compared_with_the_header(tmp_path: Path, mon
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".ppm", ".tiff", ".bmp", ".pfm", ".npy"])
 def test_size_is_known_without_decoding(tmp_path: Path, suffix):
     path = tmp_path / f"a{suffix}"
-    if suffix == ".pfm":
-        write_pfm(path, np.zeros((5, 7)))
-    elif suffix == ".npy":
-        np.save(path, np.zeros((5, 7)))
+    if suffix in (".pfm", ".npy"):
+        laid(tmp_path, {path.name: np.zeros((5, 7))})
     else:
-        cv2.imwrite(str(path), np.zeros((5, 7, 3), np.uint8))
+        path.write_bytes(damage.encoded(suffix, np.zeros((5, 7, 3), np.uint8)))
     assert image_size(path) == (5, 7)
 
 
 def test_views_of_different_numbers_of_bits_are_named(tmp_path: Path):
     full = np.random.default_rng(0).integers(0, 1 << 16, (20, 30), np.uint16)
-    for name, image in (("full", full), ("twelve", full >> 4), ("dim", full // 2)):
-        write_png(tmp_path / f"{name}.png", image)
-    for pair in (("full", "twelve"), ("twelve", "full")):
-        _, lines = warned(read_pair, *(tmp_path / f"{name}.png" for name in pair))
-        assert any(f"{pair[1]}.png" in line and "number of bits" in line for line in lines)
-    with collected_warnings() as lines:
-        read_pair(tmp_path / "full.png", tmp_path / "dim.png")  # another exposure
-    assert not lines
+    laid(tmp_path, {"full.png": full, "twelve.png": full >> 4, "dim.png": full // 2})
+    for pair in (("full.png", "twelve.png"), ("twelve.png", "full.png")):
+        _, lines = warned(read_pair, *(tmp_path / name for name in pair))
+        assert any(pair[1] in line and "number of bits" in line for line in lines)
+    assert not warned(read_pair, tmp_path / "full.png", tmp_path / "dim.png")[1]  # another exposure
     for top in (1023, 4095):
         (tmp_path / f"{top}.pgm").write_bytes(b"P5 30 20 %d\n" % top + (full % (top + 1)).astype(">u2").tobytes())
     _, lines = warned(read_pair, tmp_path / "1023.pgm", tmp_path / "4095.pgm")
@@ -201,12 +187,12 @@ def test_views_of_different_numbers_of_bits_are_named(tmp_path: Path):
 
 def test_samples_of_ten_and_twelve_bits(tmp_path: Path):
     dark = np.array([[0, 1000]], np.uint16)
-    assert bits_said((dark,), "a") == 10
-    assert bits_said((dark, dark + np.uint16(24)), "a") == 12
-    assert bits_said((dark, dark + np.uint16(4000)), "a") == 16
-    assert bits_said((dark,), "a", 14) == 14
-    assert bits_said((dark * np.uint16(60),), "a", 14) == 16  # the file is wrong: its samples fill more
-    assert bits_said((dark.astype(np.uint8),), "a") == 8
+    for samples, said, bits in (
+        ([dark], None, 10), ([dark, dark + np.uint16(24)], None, 12), ([dark, dark + np.uint16(4000)], None, 16),
+        ([dark], 14, 14), ([dark.astype(np.uint8)], None, 8),
+        ([dark * np.uint16(60)], 14, 16),  # the file is wrong: its samples fill more
+    ):  # fmt: skip
+        assert bits_said(samples, "a", said) == bits
     left, right = tmp_path / "l.pgm", tmp_path / "r.png"
     left.write_bytes(b"P5 2 1 4095\n" + dark.astype(">u2").tobytes())
     assert read_pair(left, left).bits == 12
@@ -220,26 +206,22 @@ def test_samples_of_ten_and_twelve_bits(tmp_path: Path):
 
 def test_a_grey_and_a_color_image_become_two_grey_ones(tmp_path: Path):
     color = np.random.default_rng(0).integers(0, 256, (6, 7, 3)).astype(np.uint8)
-    grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
-    write_png(tmp_path / "c.png", color)
-    write_png(tmp_path / "g.png", grey)
-    for names in (("c", "g"), ("g", "c")):
-        pair = read_pair(*(tmp_path / f"{name}.png" for name in names))
-        np.testing.assert_array_equal(pair.left, grey)
-        np.testing.assert_array_equal(pair.right, grey)
     dark = (color.astype(np.uint16) << 2) | 3  # 10 bits
-    write_png(tmp_path / "c16.png", dark)
-    write_png(tmp_path / "g16.png", cv2.cvtColor(dark, cv2.COLOR_RGB2GRAY))
-    pair = read_pair(tmp_path / "c16.png", tmp_path / "g16.png")
-    assert pair.bits == 10
-    np.testing.assert_array_equal(pair.left, pair.right)
+    for image, bits in ((color, 8), (dark, 10)):
+        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        laid(tmp_path, {"c.png": image, "g.png": grey})
+        for names in (("c.png", "g.png"), ("g.png", "c.png")):
+            pair = read_pair(*(tmp_path / name for name in names))
+            assert pair.bits == bits
+            np.testing.assert_array_equal(pair.left, pair.right)
+            assert bits == 10 or np.array_equal(pair.left, grey)
 
 
 def test_jpeg_with_fill_bytes_is_read(tmp_path: Path):
     smooth = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (120, 160, 3)).astype(np.uint8), (0, 0), 2)
     path = tmp_path / "a.jpg"
     for options in ([], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 4]):
-        data = cv2.imencode(".jpg", smooth, options)[1].tobytes()
+        data = damage.encoded(".jpg", smooth, *options)
         path.write_bytes(data)
         intact = read_image(path)
         path.write_bytes(data[:-2] + b"\xff\xff\xff" + data[-2:] + b"after the end")
@@ -249,16 +231,10 @@ def test_jpeg_with_fill_bytes_is_read(tmp_path: Path):
 def test_atomic_write_keeps_the_old_file_on_failure(tmp_path: Path):
     path = tmp_path / "deep" / "a.txt"
     write_text(path, "old")
-
-    def fail() -> None:
-        with atomic_path(path) as temporary:
-            temporary.write_text("half")
-            assert temporary.parent == path.parent
-            assert temporary.name.endswith(PARTIAL_SUFFIX)
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        fail()
+    with pytest.raises(KeyboardInterrupt), atomic_path(path) as temporary:  # noqa: PT012
+        temporary.write_text("half")
+        assert temporary.parent == path.parent and temporary.name.endswith(PARTIAL_SUFFIX)
+        raise KeyboardInterrupt
     assert path.read_text() == "old"
     assert [p.name for p in path.parent.iterdir()] == ["a.txt"]
     refused(OutputError, write_text, path / "below", "x")
@@ -272,7 +248,6 @@ def test_write_png_refuses_what_png_cannot_hold(tmp_path: Path):
 
 
 OCCURRING = [reason | extra for reason in (0, 1, 2, 4, 8) for extra in (0, 16)]
-PALETTES = pytest.mark.parametrize(("palette", "flag"), [(STATUS_PALETTE, Status), (DEPTH_STATUS_PALETTE, DepthStatus)])
 
 
 def test_every_reader_gives_the_codes_of_a_status_map(tmp_path: Path):
@@ -281,8 +256,7 @@ def test_every_reader_gives_the_codes_of_a_status_map(tmp_path: Path):
     write_status(tmp_path / "status.png", codes)
     for read in (lambda path: cv2.imread(path, cv2.IMREAD_UNCHANGED), lambda path: np.asarray(PIL.Image.open(path))):
         seen = read(str(tmp_path / "status.png"))
-        assert seen.dtype == np.uint8
-        np.testing.assert_array_equal(seen, codes)
+        np.testing.assert_array_equal(seen, codes, strict=True)
     status = read_status(tmp_path / "status.png")
     np.testing.assert_array_equal(status, codes)
     np.testing.assert_array_equal(status.measured, codes == 0)
@@ -296,14 +270,13 @@ def test_status_maps_of_earlier_versions_are_read(tmp_path: Path):
     status = read_status(tmp_path / "s.png")
     np.testing.assert_array_equal(status, [[0, 0, 17, 17]])
     np.testing.assert_array_equal(status.measured, [[True, True, False, False]])
-    write_png(tmp_path / "color.png", np.zeros((1, 1, 3), np.uint8))
-    (tmp_path / "cut.png").write_bytes((tmp_path / "s.png").read_bytes()[:-9])
-    cv2.imwrite(str(tmp_path / "a.jpg"), np.zeros((8, 8), np.uint8))
+    jpeg, cut = damage.encoded(".jpg", np.zeros((8, 8), np.uint8)), (tmp_path / "s.png").read_bytes()[:-9]
+    laid(tmp_path, {"color.png": np.zeros((1, 1, 3), np.uint8), "cut.png": cut, "a.jpg": jpeg})
     for name in ("color.png", "cut.png", "a.jpg"):
         refused(InputError, read_status, tmp_path / name)
 
 
-@PALETTES
+@pytest.mark.parametrize(("palette", "flag"), [(STATUS_PALETTE, Status), (DEPTH_STATUS_PALETTE, DepthStatus)])
 def test_single_bits_differ_clearly_and_combinations_at_all(palette, flag):
     assert set(palette) == {0, *flag} - {flag.SMOOTHED}
     one = [status_colors(palette)[int(bit)].astype(float) for bit in palette]
