@@ -1,30 +1,28 @@
 """Scenes in archives and behind URLs: the same as in folders, and one line where they are bad."""
 
 import contextlib
-import gzip
-import io
 import os
 import shutil
+import sys
 import tarfile
 import threading
 import time
 import zipfile
 from collections.abc import Callable, Iterator
 from functools import partial
-from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from depthcli.cli import main
 from depthcli.core.errors import InputError
 from depthcli.core.text import without_secrets
-from depthcli.io.formats.images import write_png
 from depthcli.io.scenes import places
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.io.scenes.places import local, origin
-from tests.command_line import contents, start
+from tests.command_line import contents, run, start
+from tests.files import laid
 from tests.golden import refused
 
 
@@ -40,10 +38,8 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("archives") / "scenes"
     for k in range(2):
         image = np.random.default_rng(k).integers(0, 255, (20, 36), np.uint8)
-        write_png(folder / f"s{k}" / "left.png", image)
-        write_png(folder / f"s{k}" / "right.png", np.roll(image, -3, 1))
-        write_png(folder / f"s{k}" / "disp_left.png", np.full((20, 36), 3, np.uint8))
-        (folder / f"s{k}" / "meta.json").write_text('{"max_disparity": 8, "disp_scale": 1}')
+        images = {"left.png": image, "right.png": np.roll(image, -3, 1), "disp_left.png": np.full_like(image, 3)}
+        laid(folder / f"s{k}", images | {"meta.json": {"max_disparity": 8, "disp_scale": 1}})
     return folder
 
 
@@ -85,28 +81,22 @@ def test_archive_is_its_folder(scenes: Path, tmp_path: Path, name: str) -> None:
 def test_commands_on_archives_give_the_bytes_of_the_folder(scenes: Path, tmp_path: Path, tool) -> None:
     archive = _zip(scenes, tmp_path / "scenes.zip")
     for place, output in ((scenes, "folder"), (archive, "archive")):
-        assert main(["stereo", "fast", "-i", str(place), "-o", str(tmp_path / output), "-q"]) == 0
+        assert run("stereo", "fast", "-i", place, "-o", tmp_path / output, "-q") == 0
     assert contents(tmp_path / "folder") == contents(tmp_path / "archive")
-    run = _zip(tmp_path / "folder", tmp_path / "run.zip")
-    assert '"s1"' in tool.out(0, "evaluate", run, "--truth", archive, "--json")
-    for place, output in ((tmp_path / "folder", "one"), (run, "two")):
-        words = ["--focal", "30", "--baseline", "0.1", "-q", "-o", str(tmp_path / output)]
-        assert main(["depth", str(place), *words]) == 0
+    made = _zip(tmp_path / "folder", tmp_path / "run.zip")
+    assert '"s1"' in tool.out(0, "evaluate", made, "--truth", archive, "--json")
+    for place, output in ((tmp_path / "folder", "one"), (made, "two")):
+        assert run("depth", place, "--focal", "30", "--baseline", "0.1", "-q", "-o", tmp_path / output) == 0
     assert (tmp_path / "one/s1/depth.pfm").read_bytes() == (tmp_path / "two/s1/depth.pfm").read_bytes()
 
 
-def test_a_folder_of_archives_names_one(scenes: Path, tmp_path: Path) -> None:
-    _zip(scenes, tmp_path / "scenes.zip")
-    refused(InputError, discover_scenes, tmp_path, ALL_KINDS)
-
-
 def test_changed_archive_is_unpacked_again(tmp_path: Path, cache: Path) -> None:
-    for text in ("one", "one", "other"):
-        if not (tmp_path / "a.zip").exists() or text == "other":
-            with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
-                archive.writestr("x", text)
-        assert (local(tmp_path / "a.zip") / "x").read_text() == text
+    for text in ("one", "other"):
+        with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+            archive.writestr("x", text)
+        assert [(local(tmp_path / "a.zip") / "x").read_text() for _ in range(2)] == [text] * 2
     assert len(list(cache.iterdir())) == 2
+    refused(InputError, discover_scenes, tmp_path, ALL_KINDS)  # a folder of archives names one
 
 
 def test_nothing_is_written_outside_and_links_are_not_made(scenes: Path, tmp_path: Path, cache: Path, caplog) -> None:
@@ -135,20 +125,13 @@ def _spoiled(scenes: Path, place: Path) -> dict[str, bytes]:
     bit[100] ^= 1
     header = tarfile.TarInfo("long")
     header.type, header.size = tarfile.GNUTYPE_LONGNAME, 2 << 20
+    laid(place, {"zeros/zeros": bytes(1 << 21)})
     return {
         "empty.zip": b"", "cut.zip": whole[: len(whole) // 2], "text.tgz": b"no archive" * 200, "bit.zip": bytes(bit),
         "cut.tar": tar[: 3 * len(tar) // 4], "end.tar": tar.rstrip(b"\0"), "cut.tgz": packed[: 3 * len(packed) // 4],
-        "name.tar": header.tobuf() + bytes(2 << 20) + tar, "bomb.tgz": _bomb(),
+        "name.tar": header.tobuf() + bytes(2 << 20) + tar,
+        "bomb.tgz": _tar(place / "zeros", place / "z.tgz", mode="w:gz").read_bytes(),
     }  # fmt: skip
-
-
-def _bomb() -> bytes:
-    made = io.BytesIO()
-    with tarfile.open(fileobj=made, mode="w") as tar:
-        member = tarfile.TarInfo("zeros")
-        member.size = 1 << 21
-        tar.addfile(member, io.BytesIO(bytes(member.size)))
-    return gzip.compress(made.getvalue())
 
 
 def test_warnings_of_an_archive_are_said_once_by_every_run(scenes: Path, tmp_path: Path, caplog) -> None:
@@ -156,7 +139,7 @@ def test_warnings_of_an_archive_are_said_once_by_every_run(scenes: Path, tmp_pat
     with zipfile.ZipFile(archive, "a") as file:
         file.writestr("../out.png", b"x")
     for _ in range(2):
-        assert main(["stereo", "opencv-bm", "-i", str(archive), "-o", str(tmp_path / "o")]) == 0
+        assert run("stereo", "opencv-bm", "-i", archive, "-o", tmp_path / "o") == 0
         assert caplog.text.count("1 members not used, links or names that lead out") == 1
         caplog.clear()
 
@@ -170,17 +153,16 @@ def test_the_cache_has_a_limit_and_no_leftovers(scenes: Path, tmp_path: Path, ca
     second = local(_zip(scenes, tmp_path / "b.zip"))
     assert first.is_dir() and second.is_dir() and not dead.exists() and living.exists()
     monkeypatch.setattr(places, "_MAX_CACHE_BYTES", 1)
-    os.utime(first.parent, (0, 0)) if first.parent.parent == cache else os.utime(first, (0, 0))
+    os.utime(first.parent if first.parent.parent == cache else first, (0, 0))
     local(_zip(scenes, tmp_path / "c.zip"))
     assert not first.exists() and second.exists()  # which was used today
 
 
-def test_unusable_archives_are_one_line(scenes: Path, tmp_path: Path, cache: Path, monkeypatch, capsys) -> None:
+def test_unusable_archives_are_one_line(scenes: Path, tmp_path: Path, cache: Path, monkeypatch, tool) -> None:
     monkeypatch.setattr(places, "_ALWAYS_BYTES", 1 << 20)
     for name, data in _spoiled(scenes, tmp_path).items():
         (tmp_path / name).write_bytes(data)
-        assert main(["stereo", "fast", "-i", str(tmp_path / name), "-o", str(tmp_path / "out")]) == 2, name
-        (line,) = capsys.readouterr().err.splitlines()
+        (line,) = tool.err(2, "stereo", "fast", "-i", tmp_path / name, "-o", tmp_path / "out").splitlines()
         assert name in line and len(line) < 300
     assert not list(cache.iterdir())
 
@@ -189,10 +171,21 @@ class _Server(SimpleHTTPRequestHandler):
     def log_message(self, *_: object) -> None:
         """Say nothing."""
 
+    def do_HEAD(self) -> None:
+        if not self.path.startswith("/stalled"):
+            return super().do_HEAD()
+        self.send_response(200)
+        self.send_header("Content-Length", "5000000")
+        self.end_headers()
+
     def do_GET(self) -> None:
         if self.path.startswith("/broken"):
-            self.send_error(500)
-            return
+            return self.send_error(500)
+        if self.path.startswith("/stalled"):  # the first bytes of a file, then nothing
+            self.do_HEAD()
+            self.wfile.write(b"x" * 1000)
+            self.wfile.flush()
+            return time.sleep(20)
         if self.path.startswith("/get?"):  # a store that names the file behind its address
             self.path = "/a.zip"
         with contextlib.suppress(OSError):
@@ -217,9 +210,10 @@ def test_urls(scenes: Path, server: str, tmp_path: Path, tool) -> None:
     memory.pipe("/store/a.zip", (scenes.parent / "a.zip").read_bytes())
     for file in _files(scenes):
         memory.pipe(f"/store/scenes/{file.relative_to(scenes).as_posix()}", file.read_bytes())
-    for url in (f"{server}/a.zip", f"{server}/scenes", f"file://{scenes}", f"{server}/a.zip?X-Signature=a%2Fb&c=1",
-                f"{server}/get?token=x&file=a.zip", f"file://{scenes.parent}/a.tar.gz", "memory://store/a.zip",
-                "memory://store/scenes"):  # fmt: skip
+    for url in (
+        *(f"{server}/{end}" for end in ("a.zip", "scenes", "a.zip?X-Signature=a%2Fb&c=1", "get?token=x&file=a.zip")),
+        f"file://{scenes}", f"file://{scenes.parent}/a.tar.gz", "memory://store/a.zip", "memory://store/scenes",
+    ):  # fmt: skip
         assert [scene.name for scene in discover_scenes(url, ALL_KINDS)] == ["s0", "s1"], url
         assert contents(local(url)) == contents(scenes), url
     signed = discover_scenes(f"{server}/a.zip?token=secret", ALL_KINDS)[1].input_files["left"]
@@ -240,22 +234,22 @@ def test_signatures_of_urls_stay_out_of_all_that_is_written(scenes: Path, server
     shutil.copytree(scenes, tmp_path / "in")
     (tmp_path / "in/s0/left.png").write_bytes((scenes / "s0/left.png").read_bytes()[:300])
     _zip(tmp_path / "in", scenes.parent / "signed.zip")
-    url, run = f"{server}/signed.zip?X-Credential=A/b/c&X-Token=SECRET", tmp_path / "run"
-    assert main(["stereo", "fast", "-i", url, "-o", str(run), "--html", "--evaluate"]) == 3
-    _zip(run, scenes.parent / "run.zip")
-    (tmp_path / "pairs.csv").write_text(f"left,right\n{url},{url}\n{url}/s0/left.png,{url}/s0/right.png\n")
-    assert main(["stereo", "fast", "-i", str(tmp_path / "pairs.csv"), "-o", str(tmp_path / "listed"), "--html"]) == 3
-    (tmp_path / "pairs.csv").unlink()
-    words = ["--truth", url, "-o", str(tmp_path / "scores"), "--html"]
-    assert main(["evaluate", f"own={run}", f"{server}/run.zip?X-Token=SECRET", *words]) == 3
+    url = f"{server}/signed.zip?X-Credential=A/b/c&X-Token=SECRET"
+    made, table = tmp_path / "run", tmp_path / "pairs.csv"
+    assert run("stereo", "fast", "-i", url, "-o", made, "--html", "--evaluate") == 3
+    _zip(made, scenes.parent / "run.zip")
+    table.write_text(f"left,right\n{url},{url}\n{url}/s0/left.png,{url}/s0/right.png\n")
+    assert run("stereo", "fast", "-i", table, "-o", tmp_path / "listed", "--html") == 3
+    table.unlink()
+    runs = f"own={made}", f"{server}/run.zip?X-Token=SECRET"
+    assert run("evaluate", *runs, "--truth", url, "-o", tmp_path / "scores", "--html") == 3
     assert f"{server}/signed.zip" in (tmp_path / "scores" / "scores.json").read_text()
     assert [file for file in _files(tmp_path) if b"SECRET" in file.read_bytes()] == []
     assert "SECRET" not in "".join(capsys.readouterr())
 
 
-@pytest.mark.parametrize(
-    ("text", "shown"),
-    [
+def test_urls_are_shown_without_secrets() -> None:
+    for text, shown in (
         ("https:/host/a.zip?sig=x%2Fy: no such file", "https://host/a.zip: no such file"),
         ("https://host/a.zip?sig=x&t=1:2/s0/left.png: cut off", "https://host/a.zip: cut off"),
         ("https://host/l.png?Credential=A/2024/s3&Signature=b/c: cut off", "https://host/l.png: cut off"),
@@ -263,44 +257,22 @@ def test_signatures_of_urls_stay_out_of_all_that_is_written(scenes: Path, server
         ("--input 'https://h/get?name=a.zip' -o b", "--input 'https://h/get' -o b"),
         ("ftp://me:word@host/a.zip", "ftp://host/a.zip"),
         ("/data/what?x=1/left.png: not a PNG, was it: so?", "/data/what?x=1/left.png: not a PNG, was it: so?"),
-    ],
-)
-def test_urls_are_shown_without_secrets(text: str, shown: str) -> None:
-    assert without_secrets(text) == shown
+    ):
+        assert without_secrets(text) == shown
 
 
 def test_urls_without_the_extra(monkeypatch: pytest.MonkeyPatch, tool) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "fsspec", None)
+    monkeypatch.setitem(sys.modules, "fsspec", None)
     (line,) = tool.err(2, "stereo", "fast", "-i", "https://127.0.0.1/x.zip", "-o", os.devnull).splitlines()
     assert "https://127.0.0.1/x.zip: " in line and "pip install 'depthcli[remote]'" in line
 
 
-class _Stalled(BaseHTTPRequestHandler):
-    """Sends the first bytes of a file, then nothing."""
-
-    def do_HEAD(self) -> None:
-        self.send_response(200)
-        self.send_header("Content-Length", "5000000")
-        self.end_headers()
-
-    def do_GET(self) -> None:
-        self.do_HEAD()
-        self.wfile.write(b"x" * 1000)
-        self.wfile.flush()
-        time.sleep(20)
-
-    def log_message(self, *arguments: object) -> None:
-        """Say nothing."""
-
-
 @pytest.mark.system
-def test_a_download_that_is_ended_says_so_in_a_line_and_leaves_nothing(tmp_path: Path, cache: Path) -> None:
+def test_a_download_that_is_ended_says_so_in_a_line_and_leaves_nothing(
+    server: str, tmp_path: Path, cache: Path
+) -> None:
     pytest.importorskip("aiohttp")
-    server = ThreadingHTTPServer(("127.0.0.1", 0), _Stalled)
-    server.daemon_threads = True
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    url = f"http://127.0.0.1:{server.server_port}/a.zip"
-    process = start("stereo", "opencv-bm", "-i", url, "-o", tmp_path / "o")
+    process = start("stereo", "opencv-bm", "-i", f"{server}/stalled.zip", "-o", tmp_path / "o")
     try:
         end = time.monotonic() + 120
         while not list(cache.glob(".*")):
@@ -311,8 +283,6 @@ def test_a_download_that_is_ended_says_so_in_a_line_and_leaves_nothing(tmp_path:
         out, err = process.communicate(timeout=60)
     finally:
         process.kill()
-        server.shutdown()
-        server.server_close()
     assert (process.returncode, out) == (143, "")
     assert err.splitlines() == ["depthcli: terminated; run the same command again to resume"]
     assert not list(cache.glob("*")) and not list(cache.glob(".*"))

@@ -1,6 +1,7 @@
 """Bad files: pixels or an InputError in one printable line, silence on stderr, and no hang."""
 
 import os
+import re
 import socket
 from pathlib import Path
 
@@ -11,11 +12,12 @@ from depthcli.core.errors import DepthcliError, InputError
 from depthcli.io.formats.calibrations import read_geometry, read_rig
 from depthcli.io.formats.disparity import map_npy, read_plane
 from depthcli.io.formats.files import read_bytes, shown
-from depthcli.io.formats.images import image_size, read_image, write_png
+from depthcli.io.formats.images import image_size, read_image
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.find import ALL_KINDS, chosen_scenes, discover_scenes
 from depthcli.io.scenes.pairs import scenes_of_table
-from tests import damage
+from tests import boards, damage
+from tests.files import laid
 from tests.golden import refused, saying
 
 FILES = {name: data for name, data in damage.originals().items() if not name.endswith((".pfm", ".npy"))}
@@ -24,23 +26,11 @@ ODD_VALUES = (
     "[" * 3000 + "]" * 3000, "9" * 400, "-" + "9" * 5000, "1e400", "-99999999999", "NaN", "null", '"x"', "[]", "{}",
     "[1, [2]]", "0", "-1", "[" + "1, " * 20_000 + "1]", '{"a": {"b": {}}}', "1e-320", "2147483648",
 )  # fmt: skip
-_RIG = (
-    "%YAML:1.0\n---\n"
-    + "".join(
-        f"{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [{data}]\n"
-        for name, rows, columns, data in (
-            ("K1", 3, 3, "60, 0, 31.5, 0, 60, 23.5, 0, 0, 1"), ("D1", 1, 5, "-0.05, 0.01, 0, 0, 0"),
-            ("K2", 3, 3, "61, 0, 31, 0, 61, 24, 0, 0, 1"), ("D2", 1, 5, "-0.04, 0.01, 0, 0, 0"),
-            ("R", 3, 3, "1, 0, 0, 0, 1, 0, 0, 0, 1"), ("T", 3, 1, "-0.12, 0.001, 0"),
-        )
-    )
-).encode()  # fmt: skip
 
 
 @pytest.mark.parametrize("name", [name for name in FILES if name != "plain.pgm"])  # whose last number may lose a digit
 def test_truncated_images_are_never_accepted(tmp_path: Path, capfd, name):
-    data = FILES[name]
-    path = tmp_path / name
+    data, path = FILES[name], tmp_path / name
     path.write_bytes(data)
     whole = read_image(path)
     assert image_size(path) == whole.shape[:2]
@@ -54,19 +44,15 @@ def test_truncated_images_are_never_accepted(tmp_path: Path, capfd, name):
 
 @pytest.mark.parametrize("name", [name for name in damage.originals() if not name.endswith((".tiff", "cube.npy"))])
 def test_damage_is_told_by_us_alone(tmp_path: Path, capfd, name):
-    data = damage.originals()[name]
-    path = tmp_path / name
-    accepted = 0
+    data, path, accepted = damage.originals()[name], tmp_path / name, 0
     for number in range(ROUNDS):
-        rng = np.random.default_rng(number)
         way = (damage.truncated, damage.holed, damage.flipped)[number % 3]
-        path.write_bytes(way(data, rng))
+        path.write_bytes(way(data, np.random.default_rng(number)))
         try:
             read_image(path) if name in FILES else read_plane(path)
             accepted += 1
         except InputError as error:
-            assert str(path) in str(error)
-            assert "\n" not in str(error)
+            assert str(path) in str(error) and "\n" not in str(error)
     assert capfd.readouterr().err == ""
     if name.endswith(".png"):  # every byte of a PNG is under a checksum
         assert accepted <= 2
@@ -75,33 +61,25 @@ def test_damage_is_told_by_us_alone(tmp_path: Path, capfd, name):
 @pytest.mark.parametrize("value", ODD_VALUES, ids=lambda value: value[:9])
 def test_odd_values_in_calibrations_are_refused_in_a_line(tmp_path: Path, value):
     """Numbers of thousands of digits, lists that multiply, deep ones: in every place, and soon."""
-    text = _RIG.decode()
-    for place in ("K1: !!opencv-matrix", "[60, 0, 31.5, 0, 60, 23.5, 0, 0, 1]", "rows: 3", "%YAML:1.0"):
-        path = tmp_path / "rig.yaml"
-        path.write_text(text.replace(place, f"K1: {value}" if place.startswith("K1") else value, 1), "utf-8")
+    path = boards.opencv(tmp_path / "rig.yaml", boards.rig())
+    text = path.read_text()
+    for place in ("!!opencv-matrix", re.search(r"\[.*?\]", text, re.DOTALL)[0], "rows: 3", "%YAML:1.0"):
+        path.write_text(text.replace(place, value, 1), "utf-8")
         try:
             read_rig([path])
         except InputError as error:
-            assert str(path) in str(error)
-            assert str(error).isprintable()
-            assert len(str(error)) < 600
+            assert str(path) in str(error) and str(error).isprintable() and len(str(error)) < 600
 
 
-def map_costs(path):
-    """Costs of a volume made elsewhere."""
-    return map_npy(path)
-
-
-READERS = [read_bytes, read_image, map_costs, image_size]
+READERS = [read_bytes, read_image, map_npy, image_size]
 
 
 def told(read, path) -> str:
     with pytest.raises(InputError) as caught:
         read(path)
     message = str(caught.value)
-    assert message.isprintable()  # and on one line
+    assert message.isprintable() and len(message) < 700  # and on one line
     message.encode("utf-8")
-    assert len(message) < 700
     return message
 
 
@@ -167,9 +145,7 @@ CALIB = "cam0=[9 0 4; 0 9 3; 0 0 1]\ncam1=[9 0 4; 0 9 3; 0 0 1]\ndoffs=0\nbaseli
 
 @pytest.mark.parametrize("number", HUGE)
 def test_calib_txt_with_numbers_too_large(tmp_path: Path, number: str):
-    for name in ("im0", "im1"):
-        write_png(tmp_path / f"{name}.png", IMAGE)
-    (tmp_path / "calib.txt").write_text(f"{CALIB}ndisp={number}\n")
+    laid(tmp_path, {"im0.png": IMAGE, "im1.png": IMAGE, "calib.txt": f"{CALIB}ndisp={number}\n"})
     refused(InputError, discover_scenes, tmp_path, ALL_KINDS)
     (tmp_path / "calib.txt").write_text(f"{CALIB}width={number}\nheight=6\n")
     refused(InputError, read_geometry, tmp_path / "calib.txt")

@@ -1,6 +1,6 @@
 """Maps in EXR files: one channel of values, or one clear line."""
 
-import builtins
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,6 @@ import pytest
 from depthcli.core.errors import InputError
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
-from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import image_size, read_image
 from tests.golden import refused, warned
 
@@ -31,16 +30,15 @@ def test_one_channel_of_values(tmp_path: Path, dtype, names):
     values = VALUES.astype(dtype)
     channels = {name: np.ones_like(values) if name == "A" else values for name in names}
     path = stored(tmp_path, **channels)
-    with collected_warnings() as lines:
-        np.testing.assert_array_equal(read_plane(path), values)
-    assert not lines
-    assert image_size(path) == (5, 7)
+    found, lines = warned(read_plane, path)
+    np.testing.assert_array_equal(found, values)
+    assert not lines and image_size(path) == (5, 7)
 
 
 def test_the_channels_that_are_left_out_are_named_and_guesses_refused(tmp_path: Path):
-    with collected_warnings() as lines:
-        path = stored(tmp_path, R=VALUES, G=VALUES + 1, B=VALUES + 2, Z=VALUES + 3)
-        np.testing.assert_array_equal(read_plane(path), VALUES + 3)
+    path = stored(tmp_path, R=VALUES, G=VALUES + 1, B=VALUES + 2, Z=VALUES + 3)
+    found, lines = warned(read_plane, path)
+    np.testing.assert_array_equal(found, VALUES + 3)
     assert "a.exr: its channel 'Z' is read" in lines[0] and "G" in lines[0]
     refused(InputError, read_plane, stored(tmp_path, R=VALUES, G=VALUES + 1, B=VALUES))
     refused(InputError, read_image, path)
@@ -57,12 +55,6 @@ def test_the_background_of_a_renderer_is_no_depth(tmp_path: Path):
 
 
 def test_without_the_library_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    path, real = stored(tmp_path, Z=VALUES), builtins.__import__
-
-    def without(name, *arguments, **options):
-        if name == "OpenEXR":
-            raise ImportError
-        return real(name, *arguments, **options)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    path = stored(tmp_path, Z=VALUES)
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
     refused(InputError, read_plane, path)

@@ -12,7 +12,7 @@ import pytest
 
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
-from depthcli.io.formats.fields import in_millimeters, read_field, read_landmarks, read_moving_transform, read_transform
+from depthcli.io.formats.fields import in_millimeters, read_field, read_moving_transform, read_transform
 from depthcli.io.formats.volumes import itk_image, write_array
 from tests.golden import refused, warned
 
@@ -226,14 +226,6 @@ def test_a_field_that_does_not_belong_to_the_volumes_is_said():
     assert "unit mm" in lines_about(FIELD / 1000, GRID)[0]
     assert "left out" in lines_about(np.random.default_rng(0).uniform(-8, 8, FIELD.shape), GRID)[0]
     refused(InputError, lines_about, FIELD + 500, GRID)
-
-
-def test_landmarks_in_every_unit(tmp_path):
-    """Positions in mm in any order of columns, voxels from 0 (elastix), and from 1 (DIR-Lab)."""
-    grid, file = Grid((9, 8, 7), (1.0, 1.5, 2.5), (10.0, 20.0, 30.0)), tmp_path / "a.txt"
-    for text, raw in (("z,y,x\n35,24.5,11\n", False), ("index\n1\n1 3 2\n", False), ("2 4 3\n", True)):
-        file.write_text(text)
-        assert read_landmarks(file, grid, raw).tolist() == [[11, 24.5, 35]]
 
 
 @pytest.mark.parametrize(("order", "kind"), [(3, 2.0), (1, 6.0)])

@@ -21,46 +21,27 @@ POINTS = [(-11.5, 24.5, 35.0), (1.0, 2.0, 3.0), (4.25, 5.0, 6.0)]
 def table(row: str, head: str = "", scale: float = 1.0, decimal: str = ".") -> str:
     """A line for every point: ``k`` counts from 0, ``n`` from 1, capitals are negated."""
     lines = [head] if head else []
-    for k, point in enumerate(POINTS):
-        x, y, z = ((value / scale) for value in point)
-        numbers = {"x": x, "y": y, "z": z, "X": -x, "Y": -y}
-        cells = {name: str(value).replace(".", decimal) for name, value in numbers.items()}
-        lines.append(row.format(k=k, n=k + 1, **cells))
+    for k, (x, y, z) in enumerate(np.divide(POINTS, scale).tolist()):
+        cells = {"x": x, "y": y, "z": z, "X": -x, "Y": -y}
+        lines.append(row.format(k=k, n=k + 1, **{key: str(cell).replace(".", decimal) for key, cell in cells.items()}))
     return "\n".join(lines) + "\n"
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        table("{x},{y},{z}"),
-        table("{x} {y} {z}"),
-        table("{x},\t{y},\t{z}"),
-        table("{x}\t{y}\t{z}", decimal=","),
-        table("{x};{y};{z}", "x;y;z", decimal=","),
-        table('"{x}","{y}","{z}"', '"x","y","z"'),
-        table("{z},{y},{x}", "z,y,x"),
-        table("{x},{y},{z}", "# x,y,z"),
-        table("{x} {y} {z} 0.5", "# landmarks of the patient"),
-        table("{n},{x},{y},{z}"),
-        table("{k} {x} {y} {z}"),
-        table("P{n},{x},{y},{z}"),
-        table("{x},{y},{z},P{n}"),
-        table("{n},{x},{y},{z}", "id,X (mm),Y (mm),Z (mm)"),
-        table("{x} {y} {z}", "X (mm) Y (mm) Z (mm)"),
-        table("{k},{x},{y},{z}", ",0,1,2"),
-        table("{k},{x},{y},{z}", ",x,y,z"),
-        table("{x},{y},{z}", "posX,posY,posZ"),
-        table("{x},{y},{z}", "L,P,S"),
-        table("{z},{X},{y}", "S (mm),R (mm),P (mm)"),
-        table("{n},{X},{Y},{z}", "I,R,A,S"),
-        table("{X},{Y},{z}", "x_ras,y_ras,z_ras"),
-        table("{x}\t{y}\t{z}", "x [m]\ty [m]\tz [m]", scale=1000),
-        table("1,2,3,{x},{y},{z}", "x_voxel,y_voxel,z_voxel,x,y,z"),
-        table("{n},{x},{y},{z},0,0", "# Markups fiducial file version = 4.10\n# CoordinateSystem = LPS\n"
-              "# columns = id,x,y,z,ow,ox"),
-        table("{n},{X},{Y},{z},0,0", "# CoordinateSystem = 0\n# columns = id,x,y,z,ow,ox"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("text", [
+    table("{x},{y},{z}"), table("{x} {y} {z}"), table("{x},\t{y},\t{z}"),
+    table("{x}\t{y}\t{z}", decimal=","), table("{x};{y};{z}", "x;y;z", decimal=","),
+    table('"{x}","{y}","{z}"', '"x","y","z"'), table("{z},{y},{x}", "z,y,x"), table("{x},{y},{z}", "# x,y,z"),
+    table("{x} {y} {z} 0.5", "# landmarks of the patient"),
+    table("{n},{x},{y},{z}"), table("{k} {x} {y} {z}"), table("P{n},{x},{y},{z}"), table("{x},{y},{z},P{n}"),
+    table("{n},{x},{y},{z}", "id,X (mm),Y (mm),Z (mm)"), table("{x} {y} {z}", "X (mm) Y (mm) Z (mm)"),
+    table("{k},{x},{y},{z}", ",0,1,2"), table("{k},{x},{y},{z}", ",x,y,z"), table("{x},{y},{z}", "posX,posY,posZ"),
+    table("{x},{y},{z}", "L,P,S"), table("{z},{X},{y}", "S (mm),R (mm),P (mm)"), table("{n},{X},{Y},{z}", "I,R,A,S"),
+    table("{X},{Y},{z}", "x_ras,y_ras,z_ras"), table("{x}\t{y}\t{z}", "x [m]\ty [m]\tz [m]", scale=1000),
+    table("1,2,3,{x},{y},{z}", "x_voxel,y_voxel,z_voxel,x,y,z"),
+    table("{n},{x},{y},{z},0,0", "# Markups fiducial file version = 4.10\n# CoordinateSystem = LPS\n"
+          "# columns = id,x,y,z,ow,ox"),
+    table("{n},{X},{Y},{z},0,0", "# CoordinateSystem = 0\n# columns = id,x,y,z,ow,ox"),
+])  # fmt: skip
 def test_landmarks_in_every_form(text: str, tmp_path: Path):
     file = tmp_path / "landmarks_fixed.csv"
     for encoding in ("utf-8", "utf-8-sig", "utf-16"):
@@ -68,21 +49,19 @@ def test_landmarks_in_every_form(text: str, tmp_path: Path):
         np.testing.assert_allclose(read_landmarks(file, GRID), POINTS, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "fixed_x,fixed_y,fixed_z,moving_x,moving_y,moving_z\n1,2,3,4,5,6\n",
-        "i,j,k\n1,2,3\n",
-        "x_voxel,y_voxel,z_voxel\n1,2,3\n",
-        "a,b,c,d\n5.5,1,2,3\n",
-        "x,y\n1,2\n",
-        "1,2,3\n1,2,abc\n",
-        "x,y,z\n",
-    ],
-)
-def test_tables_whose_columns_are_not_known(text: str, tmp_path: Path):
-    (tmp_path / "a.csv").write_text(text)
-    refused(InputError, read_landmarks, tmp_path / "a.csv", GRID)
+def test_tables_whose_columns_are_not_known(tmp_path: Path):
+    for text in (
+        "a,b,c,d\n5.5,1,2,3\n", "fixed_x,fixed_y,fixed_z,moving_x,moving_y,moving_z\n1,2,3,4,5,6\n",
+        "i,j,k\n1,2,3\n", "x_voxel,y_voxel,z_voxel\n1,2,3\n", "x,y\n1,2\n", "1,2,3\n1,2,abc\n", "x,y,z\n",
+    ):  # fmt: skip
+        (tmp_path / "a.csv").write_text(text)
+        refused(InputError, read_landmarks, tmp_path / "a.csv", GRID)
+
+
+def test_landmarks_in_every_unit(tmp_path: Path):
+    for text, raw in (("z,y,x\n35,24.5,11\n", False), ("index\n1\n1 3 2\n", False), ("2 4 3\n", True)):
+        (tmp_path / "a.txt").write_text(text)  # mm, voxels from 0 (elastix), and from 1 (DIR-Lab)
+        assert read_landmarks(tmp_path / "a.txt", GRID, raw).tolist() == [[11, 24.5, 35]]
 
 
 @pytest.mark.parametrize(("separator", "name"), [(",", "a.csv"), ("\t", "a.csv"), (";", "a.csv"), ("\t", "a.tsv")])
