@@ -268,7 +268,7 @@ def test_urls_without_the_extra(monkeypatch: pytest.MonkeyPatch, tool) -> None:
 
 
 @pytest.mark.system
-def test_a_download_that_is_ended_says_so_in_a_line_and_leaves_nothing(
+def test_a_download_that_is_ended_says_so_and_leaves_nothing(
     server: str, tmp_path: Path, cache: Path
 ) -> None:
     pytest.importorskip("aiohttp")
