@@ -1,7 +1,6 @@
 """The page of runs whose scenes have no ground truth, or not all of them."""
 
 import json
-import re
 import shutil
 import unicodedata
 from pathlib import Path
@@ -18,12 +17,11 @@ from depthcli.io.formats.disparity import read_pfm, read_status, write_pfm
 from depthcli.io.formats.images import read_grey, read_image, write_png
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import VolumePairScene
-from depthcli.io.volume_pairs import RegistrationTruth
 from depthcli.report.packing import unpack
 from depthcli.report.scene_view import view_with_truth
 from depthcli.report.without_truth import _doubt
 from tests.report.conftest import ODD
-from tests.report.test_page import Reader, read
+from tests.report.test_page import Reader, registration_truth
 
 SIZE = (48, 64)
 
@@ -58,16 +56,11 @@ def inconsistent(scene: Path) -> float:
     return 100 * float(np.mean((status & int(Status.OCCLUDED | Status.MISMATCH)) != 0))
 
 
-def data_of(reader: Reader) -> list[dict]:
-    found = sorted((name for name in reader.scripts if name.startswith("data-")), key=lambda name: int(name[5:]))
-    return [json.loads(reader.scripts[name]) for name in found]
-
-
 def test_worst_first_with_the_maps_as_they_are(pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     run = tmp_path / "run"
     assert stereo(pairs, run, "--html") == 3  # for the damaged scene, not for the page
     assert capsys.readouterr().err.rstrip().endswith(f": {run / 'evaluation' / 'report.html'}")
-    reader = read(run / "evaluation")
+    reader = Reader(run / "evaluation")
     header, *rows = reader.tables[0]
     assert header[:4] == ["scene", "status", "left-right inconsistent, %", "no value, %"]
     assert rows[0][0] == "damaged"
@@ -76,20 +69,16 @@ def test_worst_first_with_the_maps_as_they_are(pairs: Path, tmp_path: Path, caps
     assert [row[0] for row in rows[1:]] == sorted(shares, key=lambda name: -shares[name])
     assert [float(row[2]) for row in rows[1:]] == pytest.approx(sorted(shares.values(), reverse=True), abs=0.01)
     assert shares["hard"] > shares["easy"]
-    data = data_of(reader)
+    data = reader.scenes()
     assert [scene["name"] for scene in data] == [row[0] for row in rows[1:]]  # as the viewer steps through them
     for scene in data:
         (view,) = scene["views"]
-        assert view["truth"] is None
-        assert view["region"] is None
+        assert view["truth"] is None and view["region"] is None
         values, packed = read_pfm(run / scene["name"] / "disp_left.pfm"), view["runs"]["run"]["values"]
         assert np.allclose(unpack(packed), values, atol=packed["step"])
         assert np.array_equal(unpack(view["runs"]["run"]["status"]), read_status(run / scene["name"] / "status.png"))
     assert len(reader.images) == 3 * 3  # image, map, status
-    assert all(source.startswith("data:image/") for source in reader.images)
-    text = (run / "evaluation" / "report.html").read_text("utf-8")
-    assert not re.search(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//""", text)
-    assert "<script>alert" not in text
+    assert "<script>alert" not in (run / "evaluation" / "report.html").read_text("utf-8")
 
 
 def test_too_many_scenes_have_pictures_of_the_worst():
@@ -106,8 +95,8 @@ def test_scenes_with_and_without_truth_share_a_page(pairs: Path, tmp_path: Path)
     write_pfm(scenes / "known" / "disp_left.pfm", np.full(SIZE, 3, np.float32))
     (scenes / "known" / "meta.json").write_text(json.dumps({"protocol": "middlebury_v2"}))
     assert stereo(scenes, tmp_path / "run", "--html", "--bound") == 0
-    reader = read(tmp_path / "run" / "evaluation")
-    known, unknown = data_of(reader)
+    reader = Reader(tmp_path / "run" / "evaluation")
+    known, unknown = reader.scenes()
     bound, probability, values = (
         read_pfm(tmp_path / "run" / "unknown" / f"{name}.pfm") for name in ("bound", "probability", "disp_left")
     )
@@ -143,8 +132,7 @@ def test_a_page_that_cannot_be_written_fails_no_scene(pairs: Path, tmp_path: Pat
     assert stereo(pairs, tmp_path / "run", "--html", "--scenes", "easy") == 3
     assert foreign.read_text() == "mine"
     error = capsys.readouterr().err
-    assert "no report.html: " in error
-    assert "to open in a browser" not in error
+    assert "no report.html: " in error and "to open in a browser" not in error
     assert (tmp_path / "run" / "easy" / "disp_left.pfm").is_file()
 
 
@@ -156,20 +144,18 @@ def test_frames_of_a_sensor_show_their_bound(tmp_path: Path):
         depth = (1000 + 10 * (number + 1) * rng.normal(0, 1, SIZE)).astype(np.uint16)
         depth[10:14, 20:30] = 0
         write_png(folder / "depth.png", depth)
-    assert (
-        main(["refine-kinect", "dsrm", "-i", str(tmp_path / "set"), "-o", str(tmp_path / "run"), "--html", "-q"]) == 0
-    )
-    reader = read(tmp_path / "run" / "evaluation")
+    words = ["-i", str(tmp_path / "set"), "-o", str(tmp_path / "run"), "--html", "-q"]
+    assert main(["refine-kinect", "dsrm", *words]) == 0
+    reader = Reader(tmp_path / "run" / "evaluation")
     header, *rows = reader.tables[0]
     assert header[2] == "expected incorrect, %"
-    order = [float(row[2]) for row in rows]
-    assert order == sorted(order, reverse=True)
+    assert float(rows[0][2]) >= float(rows[1][2])
     for name, figure in ((row[0], row[header.index("median bound")]) for row in rows):
         folder = tmp_path / "run" / name
         assert float(figure.removesuffix(" m")) == pytest.approx(np.nanmedian(read_pfm(folder / "bound.pfm")), rel=0.01)
         picture = read_image(folder / "preview.png")
         assert picture.shape[0] > SIZE[0] and picture.shape[1] > 2 * SIZE[1]  # the bound with its bar beside the map
-    for scene in data_of(reader):
+    for scene in reader.scenes():
         sensor = unpack(scene["views"][0]["sensor"])
         depth = read_grey(tmp_path / "set" / scene["name"] / "depth.png")
         np.testing.assert_array_equal(np.isnan(sensor), depth == 0)
@@ -182,19 +168,16 @@ def test_a_registration_without_landmarks(volumes: Path, tmp_path: Path, capsys:
     output = tmp_path / "run"
     assert main(["register-confidence", "axes", *files, "--name", "case", "-o", str(output), "--html"]) == 0
     assert capsys.readouterr().err.rstrip().endswith("report.html")
-    reader = read(output / "evaluation")
+    reader = Reader(output / "evaluation")
     header, row = reader.tables[0]
-    (scene,) = data_of(reader)
+    (scene,) = reader.scenes()
     assert {view["plane"] for view in scene["views"]} == {"axial", "coronal", "sagittal"}
     assert (scene["low"], scene["high"]) == (0.0, 10.0)
     assert len(reader.images) == 1  # the three slices of preview.png
-    volume = read_volume(output / "case" / "expected_error.nii.gz")
-    judge = RegistrationProtocol()
-    shown = judge.presentation.show(
-        output / "case" / "expected_error.nii.gz",
-        VolumePairScene(name="case", folder=given, fixed=given / "fixed.nii.gz"),
-        judge.files,
-    )
+    made, judge = output / "case" / "expected_error.nii.gz", RegistrationProtocol()
+    volume = read_volume(made)
+    case = VolumePairScene(name="case", folder=given, fixed=given / "fixed.nii.gz")
+    shown = judge.presentation.show(made, case, judge.files)
     inside = ~np.isnan(shown.values)
     assert 0 < inside.mean() < 1  # air is left out
     assert np.array_equal(shown.values[inside], volume.grid.turned(volume.values)[inside])
@@ -208,7 +191,7 @@ def test_landmarks_leave_the_whole_volume_in_sight(volumes: Path):
     grid, judge = read_volume(scene.fixed).grid, RegistrationProtocol()
     places = np.array(grid.shape) / 2 + np.array([[0.0, 0, 0], [2, 3, 4]])
     errors = np.array([1, 4], np.float32)
-    truth = PreparedTruth(errors, places, None, RegistrationTruth(grid, grid.to_point(places), errors))
+    truth = registration_truth(errors, grid, places, None)
     view = view_with_truth(judge, scene, truth)
     assert view is not None
     assert judge.presentation.at_points(truth)
