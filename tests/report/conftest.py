@@ -27,14 +27,11 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rng = np.random.default_rng(0)
     for seed, name in enumerate(("plain", ODD)):
         image = rng.integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
-        write_png(folder / name / "left.png", image)
-        write_png(folder / name / "right.png", image)
-        truth = truth_of(seed).copy()
-        truth[:2, :5] = np.nan
+        truth, visible = truth_of(seed), np.ones(SHAPE, bool)
+        truth[:2, :5], visible[:, :8] = np.nan, False
+        for file, picture in (("left", image), ("right", image), ("mask_nonocc", visible)):
+            write_png(folder / name / f"{file}.png", picture)
         write_pfm(folder / name / "disp_left.pfm", truth)
-        visible = np.ones(SHAPE, bool)
-        visible[:, :8] = False
-        write_png(folder / name / "mask_nonocc.png", visible)
         (folder / name / "meta.json").write_text(json.dumps({"max_disparity": 15, "protocol": "middlebury_v2"}))
     return folder
 

@@ -7,7 +7,6 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -30,35 +29,26 @@ def test_a_plot_is_well_formed_and_escapes():
     texts = ["".join(e.itertext()) for e in ElementTree.fromstring(svg).iter() if e.tag.endswith("text")]
     assert {"a<b & c$", "t<", "x", "y", "b"} <= {text.strip("\u200b") for text in texts}
     assert any("_flat" in text for text in texts)
-    assert svg == line_plot(lines, "t<", "x", "y")
-    assert "dc:date" not in svg
+    assert svg == line_plot(lines, "t<", "x", "y") and "dc:date" not in svg
+    of_nothing = SimpleNamespace(
+        runs=("a",), overall=lambda run: SimpleNamespace(value=float("nan")), results_of=lambda run: ()
+    )
+    ElementTree.fromstring(plots._times(of_nothing, "bad"))  # no run has a mean
 
 
-def test_a_curve_plot_names_the_areas():
+def test_a_curve_plot_names_the_areas_of_six_curves_at_most():
     rng = np.random.default_rng(0)
     curves = {name: sparsification(rng.random(500), rng.random(500) < 0.2) for name in ("lrc", "pkr")}
     svg = curve_plot(curves, "run: scene", "bad")
     for name, curve in curves.items():
         assert f"{name} {curve.auc:.4f}" in svg
     assert f"optimal {curves['lrc'].optimal:.4f}" in svg and "error rate" in svg
-    assert "mean absolute error" in curve_plot(curves, "run: scene", "error")
-
-
-def test_a_plot_has_six_curves_at_most_the_best():
-    error = np.linspace(0, 1, 200) ** 2
-    noise = np.random.default_rng(0).normal(0, 1, 200)
+    error, noise = np.linspace(0, 1, 200) ** 2, rng.normal(0, 1, 200)
     curves = {f"measure{k}": sparsification(-error - k * noise, error) for k in range(9)}
     svg = curve_plot(curves, "run: scene", "error")
     best = sorted(curves, key=lambda name: curves[name].auc)[:6]
     assert {name for name in curves if f"{name} " in svg} == set(best)
-    assert "the best 6 of 9" in svg
-
-
-def test_times_are_drawn_where_no_run_has_a_mean():
-    section: Any = SimpleNamespace(
-        runs=("a",), overall=lambda run: SimpleNamespace(value=float("nan")), results_of=lambda run: ()
-    )
-    ElementTree.fromstring(plots._times(section, "bad"))
+    assert "the best 6 of 9" in svg and "mean absolute error" in svg
 
 
 @pytest.mark.slow
@@ -127,17 +117,12 @@ def test_dense_thresholds_agree_with_the_table(name: str, threshold: float | Non
     before = judge.all_thresholds
     dense = {s.metric.threshold: s for s in judge.threshold_curve(estimate, truth)}
     assert judge.all_thresholds == before
-    assert len(dense) >= 24
-    assert list(dense) == sorted(dense)
+    assert len(dense) >= 24 and list(dense) == sorted(dense)
     main = next(iter(truth.regions))
     assert {s.region for s in dense.values()} == {main}
-    compared = 0
-    for score in judge.scores(estimate, truth):
-        at = score.metric.threshold
-        if score.region == main and at is not None and score.metric == judge.at(at):
-            assert dense[at] == score
-            compared += 1
-    assert compared >= min(3, len(judge.thresholds))
+    table = [score for score in judge.scores(estimate, truth) if score.region == main]
+    same = [s for s in table if (at := s.metric.threshold) is not None and s.metric == judge.at(at)]
+    assert len(same) >= min(3, len(judge.thresholds)) and all(dense[s.metric.threshold] == s for s in same)
     values = [s.value for s in dense.values()]
     assert values == sorted(values, reverse=True)
     assert all(s.value == s.metric.worst for s in missing_scores(judge, truth, dense=True))
