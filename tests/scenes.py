@@ -62,6 +62,11 @@ def rates(values: NDArray[Any], truth: Any, protocol: str = "middlebury_v2") -> 
     return {score.region: score.value for score in scores if score.metric == judge.headline}
 
 
+def errors(pipeline: Any, scene: RealScene, protocol: str = "middlebury_v2") -> dict[str, float]:
+    """Mask -> headline figure of the map that a pipeline computes."""
+    return rates(pipeline(scene.pair, scene.top).disparity.values, scene.truth, protocol)
+
+
 def load(scene: Scene) -> Any:
     """The input of a method, of a scene of any kind."""
     if isinstance(scene, StereoScene):

@@ -25,8 +25,7 @@ def _linear(labels, truncation):
 
 @pytest.mark.parametrize("dimensions", [1, 2, 3, 4, 5, 6, 8])
 def test_the_lattice_filters_as_the_naive_reference(dimensions):
-    features = _features(dimensions, 60, dimensions, 3) - np.float32(1.2)
-    values = _unary(1, 60, 3)
+    features, values = _features(dimensions, 60, dimensions, 3) - np.float32(1.2), _unary(1, 60, 3)
     lattice = Lattice.of(features)
     np.testing.assert_allclose(lattice.weights.sum(axis=1), 1, atol=1e-5)
     expected = naive.filter_values(features.astype(float), values)
@@ -50,14 +49,11 @@ def test_own_share_is_the_diagonal_of_the_filter(dimensions, spread):
 @pytest.mark.parametrize(("labels", "truncation"), [(1, 1), (2, 1), (5, 9), (12, 4), (17, 1)])
 def test_marginals_are_those_of_all_pairs(dimensions, labels, truncation):
     """The lattice's kernel is not quite a Gaussian: marginals may be 0.03 off, 0.002 in the mean."""
-    near, wide = _features(1, 300, dimensions, 2), _features(2, 300, 2, 5)
-    unary = _unary(3, 300, labels)
-    kernels = [GaussianKernel(near, 1.0), GaussianKernel(wide, 0.3)]
-    ours = mean_field(unary, kernels, truncation)
-    mu = _linear(labels, truncation)
-    exact = naive.mean_field(unary, [naive.kernel_matrix(near), naive.kernel_matrix(wide)], [1.0, 0.3], mu, 5)
-    assert np.abs(ours - exact).max() < 0.03
-    assert np.abs(ours - exact).mean() < 0.002
+    near, wide, unary = _features(1, 300, dimensions, 2), _features(2, 300, 2, 5), _unary(3, 300, labels)
+    ours = mean_field(unary, [GaussianKernel(near, 1.0), GaussianKernel(wide, 0.3)], truncation)
+    matrices = [naive.kernel_matrix(near), naive.kernel_matrix(wide)]
+    exact = naive.mean_field(unary, matrices, [1.0, 0.3], _linear(labels, truncation), 5)
+    assert np.abs(ours - exact).max() < 0.03 and np.abs(ours - exact).mean() < 0.002
     np.testing.assert_allclose(ours.sum(axis=1), 1, atol=1e-5)
 
 
@@ -71,11 +67,9 @@ def test_marginals_agree_with_the_naive_reference_for_the_kernel_of_the_lattice(
 
 def test_same_bytes_at_any_thread_count_and_inputs_untouched():
     count = 40_000  # several bands, the last one not full
-    features, wide = _features(12, count, 3, 30), _features(13, count, 2, 60)
-    unary = _unary(14, count, 9)
+    features, wide, unary = _features(12, count, 3, 30), _features(13, count, 2, 60), _unary(14, count, 9)
     kernels = [GaussianKernel(features, 1.0), GaussianKernel(wide, 0.5)]
-    inputs = (features, wide, unary)
-    assert_pure(lambda: mean_field(unary, kernels, 3, 3), *inputs)
+    assert_pure(lambda: mean_field(unary, kernels, 3, 3), features, wide, unary)
 
 
 def test_points_of_different_bands_hear_each_other():

@@ -1,5 +1,6 @@
 """The table of errors against a loop over single values, and its order."""
 
+import itertools
 import math
 
 import numpy as np
@@ -42,17 +43,13 @@ def test_a_bound_is_interpolated_between_four_entries(table: ErrorTable):
 def test_bounds_and_probabilities_are_monotone(table: ErrorTable):
     bounds = np.stack([table.bound(ODDS, level) for level in LEVELS])
     assert (np.diff(bounds, axis=0) >= 0).all() and (np.diff(bounds, axis=1) <= 0).all()
-    chances = np.stack([table.probability(ODDS, within) for within in WITHIN])
-    assert (np.diff(chances, axis=0) >= 0).all() and (np.diff(chances, axis=1) >= 0).all()
-    assert chances.min() >= 0 and chances.max() <= 1
-
-
-def test_limits_of_single_values_give_what_one_for_all_gives(table: ErrorTable):
-    odds = np.tile(ODDS, (len(WITHIN), 1))
-    found = table.probability(odds, np.repeat(WITHIN[:, None], ODDS.size, axis=1).astype(np.float32))
-    want = np.stack([table.probability(ODDS, float(within)) for within in WITHIN])
-    np.testing.assert_allclose(found, want, atol=0.03)
-    assert (np.diff(found, axis=0) >= 0).all() and (np.diff(found, axis=1) >= 0).all()
+    limits = np.repeat(WITHIN[:, None], ODDS.size, axis=1).astype(np.float32)
+    single = table.probability(np.tile(ODDS, (len(WITHIN), 1)), limits)  # a limit for each value
+    together = np.stack([table.probability(ODDS, float(within)) for within in WITHIN])
+    np.testing.assert_allclose(single, together, atol=0.03)
+    for chances in (single, together):
+        assert (np.diff(chances, axis=0) >= 0).all() and (np.diff(chances, axis=1) >= 0).all()
+        assert chances.min() >= 0 and chances.max() <= 1
 
 
 def test_the_unbiased_table_gives_the_probability_that_its_log_odds_say():
@@ -65,8 +62,6 @@ def test_the_unbiased_table_gives_the_probability_that_its_log_odds_say():
 
 
 def test_the_probability_of_the_bound_is_its_level(table: ErrorTable):
-    for odds in (-4.0, -1.0, 0.0, 2.0, 5.0):
+    for odds, level in itertools.product((-4.0, -1.0, 0.0, 2.0, 5.0), (0.5, 0.8, 0.9, 0.97)):
         one = np.array([odds], np.float32)
-        for level in (0.5, 0.8, 0.9, 0.97):
-            within = float(table.bound(one, level)[0])
-            assert table.probability(one, within)[0] == pytest.approx(level, abs=0.02)
+        assert table.probability(one, float(table.bound(one, level)[0]))[0] == pytest.approx(level, abs=0.02)

@@ -21,27 +21,15 @@ def test_the_graph_of_regions_counts_pixels_and_common_boundaries():
     rng = np.random.default_rng(4)
     labels, image = rng.integers(0, 9, (12, 17)).astype(np.int32), rng.integers(0, 256, (12, 17, 3)).astype(np.uint8)
     graph = region_graph(labels, image)
-    pairs = np.concatenate([np.stack([labels[:, 1:], labels[:, :-1]], -1).reshape(-1, 2),
-                            np.stack([labels[1:], labels[:-1]], -1).reshape(-1, 2)])  # fmt: skip
+    ends = ((labels[:, 1:], labels[:, :-1]), (labels[1:], labels[:-1]))
+    pairs = np.concatenate([np.stack(both, -1).reshape(-1, 2) for both in ends])
     pairs = np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1)
     edges, boundary = np.unique(pairs, axis=0, return_counts=True)
-    np.testing.assert_array_equal(graph.edges, edges)
-    np.testing.assert_array_equal(graph.boundary, boundary)
-    np.testing.assert_array_equal(graph.sizes, np.bincount(labels.ravel()))
     means = np.stack([image[labels == k].mean(axis=0) for k in range(9)])
-    np.testing.assert_allclose(graph.means, means)
-    np.testing.assert_allclose(graph.distances, [np.sum((means[a] - means[b]) ** 2) for a, b in edges])
-
-
-def test_small_regions_join_the_nearest_color():
-    image = np.full((8, 9, 3), 100, np.uint8)
-    image[:, 5:] = 180
-    image[3, 4] = 170  # between the halves, nearer to the right one
-    labels = connected_components(image, 1.0)
-    assert labels.max() == 2
-    merged = merge_small_regions(labels, image, 5)
-    assert merged.max() == 1
-    assert merged[3, 4] == merged[3, 5]
+    distances = [np.sum((means[a] - means[b]) ** 2) for a, b in edges]
+    expected = {"edges": edges, "boundary": boundary, "sizes": np.bincount(labels.ravel())}
+    for name, values in {**expected, "means": means, "distances": distances}.items():
+        np.testing.assert_allclose(getattr(graph, name), values, err_msg=name)
 
 
 @pytest.mark.parametrize("by_boundary", [False, True])

@@ -1,35 +1,26 @@
-"""What every segmentation promises: connected regions numbered from 0, large enough, the same every time."""
+"""Segmentations: large regions, those of scikit-image, and merging by statistics, also of depth, by its definition."""
 
 import numpy as np
 import pytest
 
-from depthcli.algorithms.segmentation import Segmenter
+from depthcli.algorithms.segmentation.statistical_region_merging import StatisticalRegionMerging, _depth_levels
 from depthcli.core.method import Family
 from depthcli.simulate.stereo_scenes import make_scene
-from tests.contracts.inputs import gaps
+from tests.contracts.inputs import gaps, part
+from tests.methods.kinect._made import blocks
+from tests.naive import kinect
 from tests.naive import segments as naive
 
-NAMES = Family.of("depthcli.algorithms.segmentation").names()
-every = pytest.mark.parametrize("name", NAMES)
+PACKAGE = "algorithms.segmentation"
 
 
-def method(name: str, **fields) -> Segmenter:
-    found = Family.of("depthcli.algorithms.segmentation").parse({"method": name, **fields}, None)
-    assert isinstance(found, Segmenter)
-    return found
-
-
-@every
+@pytest.mark.parametrize("name", Family.of(f"depthcli.{PACKAGE}").names())
 def test_regions_are_connected_and_large(name):
-    labels = method(name, min_size=20)(gaps()[0].color)
+    labels = part(PACKAGE, name, min_size=20)(gaps()[0].color)
     assert np.bincount(labels.ravel()).min() >= 20
     assert np.array_equal(naive.components(labels[..., None], 0), labels)  # each label is one piece
-
-
-@every
-def test_textureless_images_are_one_region(name):
     if name != "slic":  # its superpixels have a size, whatever is there
-        assert method(name, min_size=1)(np.full((7, 11, 3), 7, np.uint8)).max() == 0
+        assert part(PACKAGE, name, min_size=1)(np.full((7, 11, 3), 7, np.uint8)).max() == 0
 
 
 @pytest.mark.parametrize(("scale", "min_size"), [(60, 1), (300, 30)])
@@ -40,7 +31,42 @@ def test_regions_by_edges_are_those_of_scikit_image(scale, min_size):
 
     made = make_scene("planes", 1, 200, 150, 24)
     expected = felzenszwalb(made.left, scale=scale, sigma=0.8, min_size=min_size, channel_axis=-1)
-    found = method("felzenszwalb", scale=scale, min_size=min_size)(made.left)
+    found = part(PACKAGE, "felzenszwalb", scale=scale, min_size=min_size)(made.left)
     split, joined = variation_of_information(expected, found)
     entropy = variation_of_information(np.zeros_like(expected), expected).sum()
     assert max(split, joined) < 0.1 * entropy
+
+
+def depths(height, width, unknown):
+    rng = np.random.default_rng(100)
+    values = rng.integers(1, 6, (height // 7 + 1, width // 7 + 1)).repeat(7, axis=0).repeat(7, axis=1)[:height, :width]
+    values = (values + 0.1 * rng.standard_normal(values.shape)).astype(np.float32)
+    values[rng.random(values.shape) < unknown] = np.nan
+    return values
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 17), (17, 1), (2, 3), (12, 19), (23, 16)])
+@pytest.mark.parametrize("unknown", [0.0, 0.4, 1.0, None])
+@pytest.mark.parametrize("min_size", [1, 6])
+def test_agrees_with_the_definition(height, width, unknown, min_size):
+    image = blocks(height, width)
+    depth = None if unknown is None else depths(height, width, unknown)
+    fields = {"complexity": 2000, "coarser": (300, 20), "depth_guidance": 1000, "smoothing": 0}
+    method = StatisticalRegionMerging(**fields, min_size=min_size)
+    levels = None if depth is None else _depth_levels(depth)
+    expected = kinect.region_merging(image, levels, (2000, 300, 20), 1000, min_size)
+    for found, want in zip(method.layers(image, depth), expected, strict=True):
+        np.testing.assert_array_equal(found, want)
+    np.testing.assert_array_equal(method(image, depth), expected[0])
+
+
+def test_depth_keeps_apart_what_color_would_join():
+    image = np.full((40, 60, 3), 90, np.uint8)
+    depth = np.full((40, 60), 2.0, np.float32)
+    depth[:, 30:] = 5
+    depth[:, 26:34] = np.nan
+    labels = StatisticalRegionMerging(depth_guidance=1000)(image, depth)
+    assert labels.max() == 1
+    assert len(np.unique(labels[:, :26])) == len(np.unique(labels[:, 34:])) == 1  # the gap joins either
+    assert StatisticalRegionMerging(depth_guidance=0)(image, depth).max() == 0
+    assert StatisticalRegionMerging()(image).max() == 0

@@ -1,8 +1,24 @@
 """Images, maps and surfaces for the tests of frames, and what two views of a scene share."""
 
+import functools
+
 import numpy as np
 
 from depthcli.algorithms.plane_fitting.polynomials import Surfaces
+from depthcli.core.frames import RgbdFrame
+from depthcli.simulate.depth_sensor import KinectSample, simulate_kinect
+from depthcli.simulate.kinect_scenes import make_kinect_scene
+
+
+@functools.cache
+def sample_of(kind="foreground", seed=1, size=(240, 180), top=40, **options) -> KinectSample:
+    """What a simulated sensor measures of a generated scene; made once, never write into it."""
+    return simulate_kinect(*make_kinect_scene(kind, seed, *size, top), seed, **options)
+
+
+def off(result, sample: KinectSample):
+    """Errors of refined depth in every pixel, in disparity."""
+    return np.abs(RgbdFrame.fb / result.depth.values - sample.truth)
 
 
 def blocks(height, width, seed=0, noise=12):
@@ -27,9 +43,8 @@ def noisy(height, width, seed=0, unknown=0.3):
 def random_planes(coefficients, scale):
     """Surfaces of 1, x / 50, y / 50, and their value (surface, y, x)."""
     count = len(scale)
-    surfaces = Surfaces(
-        np.zeros((count, 6)), np.zeros((count, 2)), np.full((count, 2), (0, 99), np.float32), scale, 50.0
-    )
+    bounds = np.full((count, 2), (0, 99), np.float32)
+    surfaces = Surfaces(np.zeros((count, 6)), np.zeros((count, 2)), bounds, scale, 50.0)
     surfaces.coefficients[:, :3] = coefficients
     return surfaces, lambda s, y, x: float(coefficients[s] @ [1, x / 50, y / 50])
 

@@ -7,26 +7,19 @@ from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.methods.kinect.bounds import INPUTS, depth_bounds, error_planes
 from depthcli.problems.frames import kinect_errors
-from depthcli.simulate.depth_sensor import simulate_kinect
-from depthcli.simulate.kinect_scenes import make_kinect_scene
 from tests.contracts.inputs import preset
+from tests.methods.kinect._made import sample_of
 
 
-def bounds_of(frame: RgbdFrame, found: DepthMap, level: float = 0.9, within: float = 0.03):
-    return depth_bounds(kinect_errors(), frame, found, level, within)
-
-
-@pytest.fixture(scope="module")
-def made():
-    """A frame of a sensor that no table was made of, refined."""
-    kinect = simulate_kinect(*make_kinect_scene("foreground", 7, 240, 180, 40), 7, noise=0.35, fattening=3)
-    frame = kinect.frame()
-    return kinect, frame, preset("refine-kinect", "dsrm").pipeline(frame).depth
+def bounds_of(frame: RgbdFrame, found: DepthMap):
+    return depth_bounds(kinect_errors(), frame, found, 0.9, 0.03)
 
 
 @pytest.mark.parametrize("name", ["dsrm", "nearest", "guided"])
-def test_nine_of_ten_errors_are_within_the_bound(made, name):
-    kinect, frame, _ = made
+def test_nine_of_ten_errors_are_within_the_bound(name):
+    """On a frame of a sensor that no table was made of."""
+    kinect = sample_of(seed=7, noise=0.35, fattening=3)
+    frame = kinect.frame()
     found = preset("refine-kinect", name).pipeline(frame).depth
     bound, probability = bounds_of(frame, found)
     error = np.abs(found.values - kinect.depth_true())
@@ -39,15 +32,12 @@ def test_nine_of_ten_errors_are_within_the_bound(made, name):
 
 
 def test_bounds_grow_into_large_gaps():
-    rows, columns = np.mgrid[:120, :160].astype(np.float32)
-    disparity = 20 + 0.02 * columns + 0.1 * np.random.default_rng(0).standard_normal(rows.shape).astype(np.float32)
+    disparity = 20 + 0.02 * np.arange(160) + 0.1 * np.random.default_rng(0).standard_normal((120, 160))
     disparity[20:100, 30:130] = np.nan
     color = np.random.default_rng(1).integers(90, 110, (120, 160, 3)).astype(np.uint8)
     frame = RgbdFrame(color, (43.5 / disparity).astype(np.float32))
     bound, _ = bounds_of(frame, preset("refine-kinect", "nearest").pipeline(frame).depth)
-    kept, rim, middle = (
-        float(np.median(bound[part])) for part in (np.s_[:15], np.s_[22:26, 40:120], np.s_[55:65, 70:90])
-    )
+    kept, rim, middle = (np.median(part) for part in (bound[:15], bound[22:26, 40:120], bound[55:65, 70:90]))
     assert kept < rim < middle / 1.5
 
 
@@ -57,7 +47,7 @@ def test_pixels_without_a_value_and_frames_without_color():
     frame = RgbdFrame.without_color(measured, 43.5, None)
     found = DepthMap(measured, np.where(np.isnan(measured), np.uint8(DepthStatus.EMPTY), np.uint8(0)))
     bound, probability = bounds_of(frame, found)
-    np.testing.assert_array_equal(np.isnan(bound), np.isnan(measured))
-    np.testing.assert_array_equal(probability == 0, np.isnan(measured))
+    for empty in (np.isnan(bound), probability == 0):
+        np.testing.assert_array_equal(empty, np.isnan(measured))
     planes, noise = error_planes(frame, found)
     assert planes.shape == (len(INPUTS), 40, 50) and np.isfinite(planes).all() and noise == pytest.approx(0.1)

@@ -1,6 +1,5 @@
 """Depth-guided segments as a whole: contract, status, accuracy on simulated frames."""
 
-import functools
 from dataclasses import replace
 
 import numpy as np
@@ -12,44 +11,37 @@ from depthcli.core.maps import DepthStatus
 from depthcli.methods.kinect.disparity import Measurement
 from depthcli.methods.kinect.layers import Layer, RefinedDisparity
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
-from depthcli.simulate.depth_sensor import KinectSample, simulate_kinect
-from depthcli.simulate.kinect_scenes import make_kinect_scene
 from tests.contracts.checks import assert_depth
 from tests.contracts.inputs import preset
+from tests.methods.kinect._made import off, sample_of
 
 
-@functools.cache
-def sample(kind="foreground", seed=1, width=240, height=180) -> KinectSample:
-    color, truth = make_kinect_scene(kind, seed, width, height, 40)
-    return simulate_kinect(color, truth, seed)
-
-
-def errors(result, kinect: KinectSample) -> dict[str, float]:
-    off = np.abs(RgbdFrame.fb / result.depth.values - kinect.truth)
-    return {name: float(off[getattr(kinect, name)].mean()) for name in ("gap", "mismatch", "measured")}
+def with_values(disparity, reliable, **changes) -> Measurement:
+    """A measurement of these values, black everywhere."""
+    given = {"disparity": disparity, "reliable": reliable, "lab": np.zeros((*disparity.shape, 3), np.uint8), **changes}
+    unlimited = np.full(disparity.shape, np.inf, np.float32)
+    return replace(Measurement.of(sample_of().frame(), 5.0, 0, False), limit=unlimited, **given)
 
 
 def test_leaving_out_unreliable_pixels_is_better_than_the_plain_method():
-    kinect = sample()
+    kinect = sample_of()
     best, plain = (
-        errors(preset("refine-kinect", name).pipeline(kinect.frame()), kinect) for name in ("dsrm", "thesis/ch4")
+        off(preset("refine-kinect", name).pipeline(kinect.frame()), kinect) for name in ("dsrm", "thesis/ch4")
     )
-    assert best["gap"] < plain["gap"] and best["mismatch"] < plain["mismatch"]
+    assert all(best[part].mean() < plain[part].mean() for part in (kinect.gap, kinect.mismatch))
 
 
 def test_depth_guidance_separates_near_and_far_of_one_color():
-    kinect = sample("camouflage", 0)
-    guided = errors(Dsrm()(kinect.frame()), kinect)
-    blind = Dsrm.model_validate(
-        {"segmentation": {"method": "statistical_region_merging", "complexity": 8192, "coarser": [2048, 512],
-                          "depth_guidance": 0, "smoothing": 0}}
-    )  # fmt: skip
-    assert guided["measured"] < 0.7 * errors(blind(kinect.frame()), kinect)["measured"]
+    kinect = sample_of("camouflage", 0)
+    rule = {"complexity": 8192, "coarser": [2048, 512], "depth_guidance": 0, "smoothing": 0}
+    blind = Dsrm.model_validate({"segmentation": {"method": "statistical_region_merging", **rule}})
+    guided, other = (off(method(kinect.frame()), kinect)[kinect.measured].mean() for method in (Dsrm(), blind))
+    assert guided < 0.7 * other
 
 
 def test_segments_with_a_model_of_their_own():
     """By 3 reliable pixels that are half of them; by core pixels that are half of the measured ones."""
-    measurement = Measurement.of(sample().frame(), 5.0, 0.8, True)
+    measurement = Measurement.of(sample_of().frame(), 5.0, 0.8, True)
     doubtful = (measurement.probability > 0.6) & (measurement.probability < 0.8)
     np.testing.assert_array_equal(measurement.core, doubtful & ~np.isnan(measurement.disparity))
     sizes, n_reliable, n_core = (8, 4, 4, 10, 13), (3, 2, 4, 0, 0), (0, 0, 0, 6, 5)
@@ -57,9 +49,8 @@ def test_segments_with_a_model_of_their_own():
     place = np.concatenate([np.arange(size) for size in sizes])[None]
     reliable, core = (place < np.array(counts)[labels] for counts in (n_reliable, n_core))
     values = np.full(labels.shape, 20, np.float32)
-    lab, limit = np.zeros((*labels.shape, 3), np.uint8), np.full(labels.shape, np.inf, np.float32)
-    given = {"lab": lab, "disparity": values, "reliable": np.where(reliable, values, np.float32(np.nan)), "core": core}
-    layer = Dsrm(min_known=3, min_share=0.5, join=False)._fit(replace(measurement, **given, limit=limit), labels)
+    given = with_values(values, np.where(reliable, values, np.float32(np.nan)), core=core)
+    layer = Dsrm(min_known=3, min_share=0.5, join=False)._fit(given, labels)
     assert [bool(layer.own[labels == k].all()) for k in range(5)] == [False, False, True, True, False]
 
 
@@ -74,11 +65,8 @@ def test_measurements_are_compared_with_the_median_of_the_layers_that_have_a_sur
     labels[:, 0, :5] = -1  # no surface at all
     measured = rng.uniform(16, 24, shape).astype(np.float32)
     reliable = np.where(rng.random(shape) < 0.5, measured, np.float32(np.nan))
-    blank, limit = np.zeros((*shape, 3), np.uint8), np.full(shape, np.inf, np.float32)
-    given = {"disparity": measured, "reliable": reliable, "noise": noise, "lab": blank, "limit": limit}
-    measurement = replace(Measurement.of(sample().frame(), 5.0, 0, False), **given)
     layers = [Layer(layer, surfaces, layer >= 0) for layer in labels]
-    found = RefinedDisparity.of(layers, measurement, 0, tolerance, smooth)
+    found = RefinedDisparity.of(layers, with_values(measured, reliable, noise=noise), 0, tolerance, smooth)
     for y, x in np.ndindex(*shape):
         chosen = labels[:, y, x][labels[:, y, x] >= 0]
         middle, scale = measured[y, x], noise
@@ -95,25 +83,21 @@ def test_measurements_are_compared_with_the_median_of_the_layers_that_have_a_sur
 
 def test_pixels_without_a_surface_are_filled_from_pixels_of_similar_color():
     """In turn, and with no segment that joins another."""
-    frame = sample().frame()
-    result = Dsrm(combination="in_turn", join=False, min_share=0.6)(frame)
-    depth, status = result.depth.values, result.depth.status
-    gap = np.isnan(frame.depth)
+    frame = sample_of().frame()
+    depth = Dsrm(combination="in_turn", join=False, min_share=0.6)(frame).depth
+    status, gap = depth.status, np.isnan(frame.depth)
     fallback = status == DepthStatus.FALLBACK
-    assert fallback.any() and gap[fallback].mean() > 0.5
-    assert np.isfinite(depth[fallback]).all()
+    assert fallback.any() and gap[fallback].mean() > 0.5 and np.isfinite(depth.values[fallback]).all()
     assert not (status[gap] & DepthStatus.CORRECTED).any()
 
 
 def test_corrections_in_turn_lie_beside_the_outlines_of_segments():
     labels = np.tile(np.arange(20, dtype=np.int32) // 10, (12, 1))
-    values, blank = np.full(labels.shape, 20, np.float32), np.zeros((*labels.shape, 3), np.uint8)
-    reliable = values.copy()
-    reliable[5, [2, 9]] = 25
-    given = {"disparity": values, "reliable": reliable, "lab": blank, "limit": values + np.inf}
-    measurement = replace(Measurement.of(sample().frame(), 5.0, 0, False), **given)
+    values = np.full(labels.shape, 20, np.float32)
+    measurement = with_values(values, values.copy())
+    measurement.reliable[5, [2, 9]] = 25
     method = Dsrm(combination="in_turn", correction_band=3, detail_reach=0)
-    found = method._in_turn(RgbdFrame(blank, RgbdFrame.fb / values), measurement, [labels])
+    found = method._in_turn(RgbdFrame(measurement.lab, RgbdFrame.fb / values), measurement, [labels])
     assert found.status[5, [2, 9]].tolist() == [DepthStatus.KEPT, DepthStatus.CORRECTED]
 
 
@@ -123,7 +107,7 @@ def test_the_preset_is_the_default():
 
 @pytest.mark.parametrize("name", ["dsrm", "thesis/ch4"])
 def test_status_says_what_was_done(name):
-    frame = sample().frame()
+    frame = sample_of().frame()
     result = preset("refine-kinect", name).pipeline(frame)
     depth, status = result.depth.values, result.depth.status
     known = ~np.isnan(frame.depth)
@@ -138,9 +122,8 @@ def test_status_says_what_was_done(name):
 
 
 def test_details_are_the_segments_of_every_layer():
-    result = Dsrm(details=True)(sample().frame())
-    assert sorted(result.pictures) == ["segments_0", "segments_1", "segments_2"]
-    for picture in result.pictures.values():
-        assert picture.shape == (180, 240, 3) and picture.dtype == np.uint8
-    colors = [len(np.unique(p.reshape(-1, 3), axis=0)) for p in result.pictures.values()]
+    pictures = Dsrm(details=True)(sample_of().frame()).pictures
+    assert sorted(pictures) == ["segments_0", "segments_1", "segments_2"]
+    assert all(picture.shape == (180, 240, 3) and picture.dtype == np.uint8 for picture in pictures.values())
+    colors = [len(np.unique(picture.reshape(-1, 3), axis=0)) for picture in pictures.values()]
     assert colors[0] > colors[2] > 1

@@ -11,8 +11,8 @@ from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 from depthcli.methods.kinect.pipeline.nearest import NearestFill
 from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
 from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
-from depthcli.simulate.depth_sensor import simulate_kinect
 from depthcli.simulate.kinect_scenes import make_kinect_scene
+from tests.methods.kinect._made import off, sample_of
 from tests.naive import kinect as naive
 
 
@@ -29,38 +29,27 @@ def some(shape, seed, unknown=0.7):
 
 @pytest.mark.parametrize("shape", [(1, 30), (30, 1), (17, 23), (40, 50)])
 @pytest.mark.parametrize("seed", range(3))
-def test_values_are_those_at_the_start_of_the_cheapest_path(shape, seed, monkeypatch):
-    monkeypatch.setattr(gap_filling, "_SMOOTHING_STRIDES", ())
+def test_values_are_those_at_the_start_of_the_cheapest_path_and_smoothed(shape, seed, monkeypatch):
     values, lab, segments, limit, cost = some(shape, seed)
-    if np.isnan(values).all():
-        values[0, 0] = 5
+    values[0, 0] = 5
+    smoothed, _ = fill_gaps(values, lab, segments, limit, cost, None)
+    monkeypatch.setattr(gap_filling, "_SMOOTHING_STRIDES", ())
     filled, _ = fill_gaps(values, lab, segments, limit, cost, None)
     _, expected = naive.cheapest_paths(lab, segments, limit, values, cost)
     assert (filled == expected).mean() > 0.95  # the sweeps miss paths that wind
     known = ~np.isnan(values)
     np.testing.assert_array_equal(filled[known], values[known])
-
-
-@pytest.mark.parametrize("shape", [(1, 30), (30, 1), (17, 23), (40, 50)])
-def test_filled_pixels_are_smoothed_as_by_the_reference(shape, monkeypatch):
-    values, lab, segments, limit, cost = some(shape, 0)
-    values[0, 0] = 5
-    smoothed, _ = fill_gaps(values, lab, segments, limit, cost, None)
-    monkeypatch.setattr(gap_filling, "_SMOOTHING_STRIDES", ())
-    filled, _ = fill_gaps(values, lab, segments, limit, cost, None)
-    expected = naive.smoothed_gaps(filled, ~np.isnan(values), lab, limit, (12, 8, 6, 4, 3, 2, 1), 35)
+    expected = naive.smoothed_gaps(filled, known, lab, limit, (12, 8, 6, 4, 3, 2, 1), 35)
     np.testing.assert_array_equal(smoothed, expected)
-    assert (smoothed[np.isnan(values)] <= limit[np.isnan(values)]).sum() >= (filled <= limit)[np.isnan(values)].sum()
+    assert (smoothed <= limit)[~known].sum() >= (filled <= limit)[~known].sum()
 
 
 def test_planes_continue_and_fade():
-    columns = np.mgrid[:40, :80][1].astype(np.float32)
-    values = 20 + 0.2 * columns
+    truth = 20 + np.float32(0.2) * np.mgrid[:40, :80][1].astype(np.float32)
+    values = truth.copy()
     values[5:35, 30:60] = np.nan
     grey, nothing = np.full((40, 80, 3), 90, np.uint8), np.zeros_like(values)
-    none = np.empty((0, *values.shape), np.int32)
-    filled, inside = fill_gaps(values, grey, none, nothing + np.inf, nothing, 0.1)
-    truth = 20 + 0.2 * columns
+    filled, inside = fill_gaps(values, grey, np.empty((0, 40, 80), np.int32), nothing + np.inf, nothing, 0.1)
     assert np.abs(filled - truth).max() < 1.2
     assert np.abs(filled - truth).mean() < 0.1 * np.nanstd(truth)
     np.testing.assert_allclose(filled[6, 40:50], truth[6, 40:50], atol=0.05)
@@ -80,19 +69,16 @@ def test_holes_in_a_frame_without_shadows_are_filled_better_than_by_the_nearest_
     for _ in range(20):
         y, x = rng.integers(0, 210), rng.integers(0, 285)
         holes[y : y + 30, x : x + 35] = True
-    depth = (43.5 / np.where(holes, np.nan, measured)).astype(np.float32)
-    frame = RgbdFrame(color, depth)
+    frame = RgbdFrame(color, (43.5 / np.where(holes, np.nan, measured)).astype(np.float32))
     error, nearest = (np.abs(43.5 / m(frame).depth.values - truth)[holes].mean() for m in (pipeline, NearestFill()))
     assert error < (1.2 if isinstance(pipeline, ShadowSmoother) else 0.8) * nearest
 
 
 def test_where_shadows_lie_can_be_set():
-    sample = simulate_kinect(*make_kinect_scene("foreground", 1, 320, 240, 40), 0, shadows="right")
-    frame = sample.frame()
-    errors = {}
+    sample, errors = sample_of(size=(320, 240), shadows="right"), {}
     for where in (True, "right", "left", False):
-        result = Dsrm(shadows=where)(frame)
-        errors[where] = np.abs(43.5 / result.depth.values - sample.truth)[sample.occluded].mean()
+        result = Dsrm(shadows=where)(sample.frame())
+        errors[where] = off(result, sample)[sample.occluded].mean()
         assert set(result.figures) == {"shadows_left", "shadows_right", "shadow_width_left", "shadow_width_right"}
     assert errors["right"] == pytest.approx(errors[True], rel=0.2)
     assert errors[True] < 0.7 * errors["left"] and errors[True] < 0.7 * errors[False]

@@ -13,21 +13,21 @@ from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
 from depthcli.methods.kinect.pipeline.nearest import NearestFill
 from depthcli.methods.kinect.pipeline.realsense import Realsense
 from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
-from depthcli.simulate.depth_sensor import simulate_kinect
-from depthcli.simulate.kinect_scenes import make_kinect_scene
 from tests.golden import refused
+from tests.methods.kinect._made import off, sample_of
 
 
-@pytest.fixture(scope="module")
-def sample():
-    return simulate_kinect(*make_kinect_scene("foreground", 2, 240, 180, 32), 2, discs=4)
+def few_pixels(disparity):
+    """A black frame of a disparity in pixels."""
+    color = np.zeros((*disparity.shape, 3), np.uint8)
+    return RgbdFrame(color, (43.5 / disparity).astype(np.float32))
 
 
 @pytest.mark.parametrize(
     "method", [Inpaint(), Inpaint(algorithm="navier-stokes"), JointBilateralFill(), NearestFill()], ids=repr
 )
-def test_fills_keep_what_is_known(method, sample):
-    frame = sample.frame()
+def test_fills_keep_what_is_known(method):
+    frame = sample_of(seed=2, discs=4).frame()
     refined, known = method(frame).depth, ~np.isnan(frame.depth)
     np.testing.assert_array_equal(refined.values[known], frame.depth[known])
     assert (refined.status[known] == DepthStatus.KEPT).all()
@@ -56,11 +56,6 @@ def test_the_status_of_refined_depth():
     assert [DepthStatus(bits).name for bits in found.depth.status[0]] == list(names)
 
 
-def test_shadows_have_a_confidence_of_their_own(sample):
-    low, high = (ShadowSmoother(shadow_confidence=c)(sample.frame()).depth.values for c in (0.01, 1.0))
-    assert not np.array_equal(low, high)
-
-
 def spatial(line, alpha, delta):
     """One pass over a line, there and back, with edges at steps of the unfiltered values."""
     for order in (range(len(line)), range(len(line) - 1, -1, -1)):
@@ -79,8 +74,7 @@ def test_realsense_spatial_filter():
     rng = np.random.default_rng(3)
     disparity = (20 + np.cumsum(rng.normal(0, 0.4, (13, 17)), axis=1)).astype(np.float32)
     disparity[rng.random((13, 17)) < 0.2] = np.nan
-    method = Realsense(temporal_alpha=1, persistency=0, hole_filling="off")
-    frame = RgbdFrame(np.zeros((13, 17, 3), np.uint8), (43.5 / disparity).astype(np.float32))
+    method, frame = Realsense(temporal_alpha=1, persistency=0, hole_filling="off"), few_pixels(disparity)
     expected = frame.disparity.astype(float)
     for _ in range(2):
         expected = np.array([spatial(row, 0.5, 20 / 32) for row in expected])
@@ -90,12 +84,11 @@ def test_realsense_spatial_filter():
 
 def test_realsense_temporal_filter_smooths_carries_over_and_follows():
     method = Realsense(magnitude=0, hole_filling="off")
-    color = np.zeros((1, 3, 3), np.uint8)
     # steady; seen twice, then gone for long; moves by more than the threshold
     columns = [[10, 10.4, 10, 10, 10, 10, 10], [10, 10] + [np.nan] * 5, [10, 12, 12, 12, 12, 12, 12]]
     state, seen, carried = None, [], []
     for disparity in np.array(columns).T:
-        refined, state = method.step(RgbdFrame(color, (43.5 / disparity[None]).astype(np.float32)), state)
+        refined, state = method.step(few_pixels(disparity[None]), state)
         seen.append(43.5 / refined.depth.values[0])
         carried.append(bool(refined.depth.status[0, 1] & DepthStatus.CARRIED))
         assert refined.depth.filled[0, 1] == carried[-1]
@@ -105,26 +98,22 @@ def test_realsense_temporal_filter_smooths_carries_over_and_follows():
     # valid in 2 of the last 4 frames: for three frames after the value is gone
     np.testing.assert_array_equal(np.isnan(seen[:, 1]), [False] * 5 + [True] * 2)
     assert carried == [False, False, True, True, True, False, False]
-    refused(ValueError, method.step, RgbdFrame(np.zeros((2, 3, 3), np.uint8), np.ones((2, 3), np.float32)), state)
+    refused(ValueError, method.step, few_pixels(np.ones((2, 3))), state)
 
 
 @pytest.mark.parametrize(("mode", "value"), [("left", 10), ("farthest", 8), ("nearest", 14)])
 def test_realsense_hole_filling(mode, value):
     disparity = np.full((3, 4), 10.0)
     disparity[0, 2], disparity[2, 1], disparity[1, 2] = 14, 8, np.nan
-    method = Realsense(magnitude=0, hole_filling=mode)
-    refined = method(RgbdFrame(np.zeros((3, 4, 3), np.uint8), (43.5 / disparity).astype(np.float32)))
+    refined = Realsense(magnitude=0, hole_filling=mode)(few_pixels(disparity))
     assert 43.5 / refined.depth.values[1, 2] == pytest.approx(value, rel=1e-5)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planes", "foreground", "curved", "camouflage"])
 def test_shadow_smoother_has_smaller_errors_than_the_smoother_it_uses(kind):
-    sample = simulate_kinect(*make_kinect_scene(kind, 1, 320, 240, 40), 1, discs=4)
-    frame = sample.frame()
-    ours, peer = (
-        np.abs(frame.fb / m(frame).depth.values - sample.truth) for m in (ShadowSmoother(), FastGlobalSmoother())
-    )
-    assert np.nanmean(ours[sample.gap]) < 0.8 * np.nanmean(peer[sample.gap])
-    assert np.nanmean(ours[sample.mismatch]) < 0.8 * np.nanmean(peer[sample.mismatch])
+    sample = sample_of(kind, size=(320, 240), discs=4)
+    ours, peer = (off(method(sample.frame()), sample) for method in (ShadowSmoother(), FastGlobalSmoother()))
+    for part in (sample.gap, sample.mismatch):
+        assert np.nanmean(ours[part]) < 0.8 * np.nanmean(peer[part])
     assert np.nanmean(ours[sample.measured]) < 0.24

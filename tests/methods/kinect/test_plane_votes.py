@@ -5,15 +5,7 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.plane_fitting.window_planes import window_planes
-from depthcli.methods.kinect.candidates import (
-    LEVELS,
-    OPENING_LEVEL,
-    ExtraVotes,
-    Voters,
-    cast_votes,
-    color_similarity,
-    hidden_openings,
-)
+from depthcli.methods.kinect.candidates import LEVELS, OPENING_LEVEL, ExtraVotes, Voters, cast_votes, hidden_openings
 from depthcli.methods.kinect.depth_edges import MIN_OFFSET, correct_probability, outline_offsets
 from depthcli.methods.kinect.gap_limits import GapLimits, shadow_background, shadow_limits
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
@@ -21,7 +13,7 @@ from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
 from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
 from depthcli.methods.kinect.shadows import Shadow, Shadows, measure_shadows
 from depthcli.simulate.depth_sensor import simulate_kinect
-from depthcli.simulate.kinect_scenes import make_kinect_scene
+from tests.methods.kinect._made import off, sample_of
 from tests.naive import kinect_votes as naive
 
 
@@ -29,9 +21,11 @@ def lab_of(color):
     return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2LAB), np.uint8)
 
 
-def sample_of(kind="foreground", seed=0, size=(220, 160), **options):
-    color, truth = make_kinect_scene(kind, seed, *size, 32)
-    return simulate_kinect(color, truth, seed, **{"discs": 3, "disc_radius": (6.0, 12.0), **options})
+def large(kind="foreground", seed=0, size=(400, 300), **options):
+    return sample_of(kind, seed, size, 32, **{"discs": 3, "disc_radius": (6.0, 12.0), **options})
+
+
+PARTS = ("value", "slope_x", "slope_y", "scale")
 
 
 def random_map(rng, shape, holes=0.15):
@@ -53,27 +47,20 @@ def test_window_planes_agree_with_the_reference(shape):
         window = np.s_[max(y - 4, 0) : y + 5, max(x - 4, 0) : x + 5]
         if trust[window][~np.isnan(disparity[window])].sum() < 0.5:
             continue
-        mine = [getattr(planes, name)[y, x] for name in ("value", "slope_x", "slope_y", "scale")]
+        mine = [getattr(planes, name)[y, x] for name in PARTS]
         np.testing.assert_allclose(mine, naive.local_plane(disparity, trust, 0.3, y, x), atol=6e-3)
 
 
 def test_planes_whose_windows_did_not_change_are_taken_over():
-    rng = np.random.default_rng(8)
-    disparity = random_map(rng, (40, 150))
-    trust = np.ones((40, 150), np.float32)
+    disparity, trust = random_map(np.random.default_rng(8), (40, 150)), np.ones((40, 150), np.float32)
     first = window_planes(disparity, trust, 0.3)
     changed = np.zeros((40, 150), bool)
     changed[20:23, 70:75] = True
     other = np.where(changed, np.float32(25), disparity)
     again, anew = window_planes(other, trust, 0.3, first, changed), window_planes(other, trust, 0.3)
-    for name in ("value", "slope_x", "slope_y", "scale"):
+    for name in PARTS:
         np.testing.assert_array_equal(getattr(again, name), getattr(anew, name))
     np.testing.assert_array_equal(first.value, window_planes(disparity, trust, 0.3).value)
-
-
-def test_colors_are_the_less_similar_the_farther_they_are_but_never_without_a_vote():
-    similarity = color_similarity(40.0)
-    assert similarity[0] == pytest.approx(1.002) and (np.diff(similarity) <= 0).all() and similarity[-1] > 0
 
 
 def test_votes_agree_with_the_reference():
@@ -85,17 +72,12 @@ def test_votes_agree_with_the_reference():
     planes = window_planes(disparity, trust, 0.3)
     limit = np.where(rng.random(shape) < 0.5, 25, np.inf).astype(np.float32)
     beyond = np.full(shape, 0.1, np.float32)
-    rim = np.full(shape, np.nan, np.float32)
-    rim[::2] = 23.3
-    bonus = np.full(shape, 0.3, np.float32)
     voters = [Voters.of(lab, planes, trust, stride) for stride, _ in LEVELS]
     sigma = np.full(shape, 2 * 1.1**24, np.float32)  # one of those that there are tables for
     pixels = np.argwhere(rng.random(shape) < 0.01).astype(np.int32)
-    continued = np.full((2, *shape), np.nan, np.float32)
-    continued[0, :, ::2] = 21.7
-    continued[1, :, ::3] = 19.3
-    given = np.full((2, *shape), 0.2, np.float32)
-    extra = ExtraVotes(np.stack([rim, *continued]), np.stack([bonus, *given]))
+    added, bonus = np.full((3, *shape), np.nan, np.float32), np.array([0.3, 0.2, 0.2], np.float32)
+    added[0, ::2], added[1, :, ::2], added[2, :, ::3] = 23.3, 21.7, 19.3
+    extra = ExtraVotes(added, np.broadcast_to(bonus[:, None, None], added.shape).copy())
     values, shares = cast_votes(pixels, lab, voters, GapLimits(limit, beyond), extra, 0.3, 4, 40.0, sigma)
     voting = planes.value[(trust > 0) & ~np.isnan(planes.value)]
     unit = 0.3 * 5 / 3
@@ -107,7 +89,7 @@ def test_votes_agree_with_the_reference():
         mass, moment = naive.histogram(pixel, lab, parts, trust, limit, beyond, low, unit, bins, 40.0, 2 * 1.1**24)
         cast = mass.sum()
         row, column = pixel
-        for value, share in zip((rim[row, column], *continued[:, row, column]), (0.3, 0.2, 0.2), strict=True):
+        for value, share in zip(added[:, row, column], bonus, strict=True):
             if not np.isnan(value):
                 k = int((value - low) / unit)
                 mass[k] += share * cast
@@ -121,7 +103,7 @@ def test_votes_agree_with_the_reference():
 @pytest.mark.slow
 @pytest.mark.parametrize("fattening", [2, 4, 6])
 def test_outline_offsets_are_the_simulated_fattening(fattening):
-    sample = sample_of(size=(400, 300), fattening=fattening)
+    sample = large(fattening=fattening)
     distributions = outline_offsets(lab_of(sample.color), sample.disparity, 1.5)
     np.testing.assert_allclose(distributions.sum(axis=1), 1)
     for distribution in distributions:
@@ -131,7 +113,7 @@ def test_outline_offsets_are_the_simulated_fattening(fattening):
 
 @pytest.mark.slow
 def test_correct_probability_separates_right_from_wrong_measurements():
-    sample = sample_of(size=(400, 300))
+    sample = large()
     right = correct_probability(lab_of(sample.color), sample.disparity, 1.5, measure_shadows(sample.disparity, 1.5))
     known = sample.measured | sample.mismatch
     assert sample.mismatch[known & (right < 0.2)].mean() > 0.75
@@ -139,7 +121,7 @@ def test_correct_probability_separates_right_from_wrong_measurements():
 
 
 def test_shadows_are_measured_on_both_sides():
-    sample = sample_of(size=(400, 300), discs=0)
+    sample = large(discs=0)
     found = measure_shadows(sample.disparity, 1.5)
     assert found.left.confidence > 0.7 and found.left.scale == 1 and found.left.covered == 0
     assert found.right.confidence < 0.25
@@ -149,7 +131,7 @@ def test_shadows_are_measured_on_both_sides():
 
 @pytest.mark.parametrize(("baseline", "covered"), [(0.5, False), (0.7, False), (1.4, False), (1.0, True)])
 def test_the_width_of_shadows_is_measured(baseline, covered):
-    sample = sample_of(size=(400, 300), discs=0, baseline=baseline, covered=covered)
+    sample = large(discs=0, baseline=baseline, covered=covered)
     shadow = measure_shadows(sample.disparity, 1.5).left
     assert shadow.confidence > 0.4
     step = np.median(np.diff(sample.truth)[np.diff(sample.truth) > 2])
@@ -164,8 +146,8 @@ def test_limits_and_rims_of_shadows():
     planes = window_planes(sample.disparity, np.ones_like(truth), 0.1)
     limit, beyond = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, Shadows(Shadow(1.0)))
     rim, bonus = shadow_background(sample.disparity, planes, 1.0, Shadows(Shadow(1.0)))
-    gaps = np.isnan(sample.disparity)
-    np.testing.assert_array_equal(gaps, np.tile((np.arange(120) >= 44) & (np.arange(120) < 56), (30, 1)))
+    gaps, columns = np.isnan(sample.disparity), np.arange(120)
+    np.testing.assert_array_equal(gaps, np.tile((columns >= 44) & (columns < 56), (30, 1)))
     np.testing.assert_allclose(limit[:, 44:56], np.tile(22 - np.arange(12, 0, -1) + 0.3, (30, 1)), rtol=1e-5)
     np.testing.assert_allclose(rim[gaps], 10, atol=0.05)
     assert (bonus[gaps] > 0.5).all() and (beyond[gaps] < 0.05).all()
@@ -180,16 +162,11 @@ def test_limits_and_rims_of_shadows():
 
 
 def test_an_opening_closed_by_the_sensor_is_found_by_its_color():
-    color = np.full((80, 160, 3), (200, 60, 60), np.uint8)
-    truth = np.full((80, 160), 30, np.float32)
-    behind = np.zeros((80, 160), bool)
-    behind[:, :50] = True
-    behind[30:50, 66:72] = True  # narrower than twice the fattening
-    color[behind] = (60, 90, 200)
-    truth[behind] = 22
-    sample = simulate_kinect(color, truth, 0, discs=0)
-    opening = behind.copy()
-    opening[:, :60] = False
+    opening, behind = np.zeros((2, 80, 160), bool)
+    opening[30:50, 66:72] = True  # narrower than twice the fattening
+    behind[:] = opening | (np.arange(160) < 50)
+    color = np.where(behind[..., None], (60, 90, 200), (200, 60, 60)).astype(np.uint8)
+    sample = simulate_kinect(color, np.where(behind, np.float32(22), np.float32(30)), 0, discs=0)
     assert sample.mismatch[opening].all()
     trust = np.isfinite(sample.disparity).astype(np.float32)
     planes = window_planes(sample.disparity, trust, 0.3)
@@ -205,14 +182,14 @@ def test_an_opening_closed_by_the_sensor_is_found_by_its_color():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planes", "foreground", "curved", "camouflage"])
 def test_errors_are_below_those_of_library_filters_everywhere(kind):
-    sample = sample_of(kind, 1, (320, 240))
+    sample = large(kind, 1, (320, 240))
     frame = sample.frame()
     refined = PlaneVotes()(frame)
-    error, raw = np.abs(frame.fb / refined.depth.values - sample.truth), np.abs(sample.disparity - sample.truth)
+    error, raw = off(refined, sample), np.abs(sample.disparity - sample.truth)
     assert refined.depth.density == 1
     assert error[sample.measured].mean() < 0.5 * raw[sample.measured].mean()
     assert error[sample.mismatch].mean() < 0.4 * raw[sample.mismatch].mean()
     for peer in (JointBilateralFill(), FastGlobalSmoother()):
-        other = np.abs(frame.fb / peer(frame).depth.values - sample.truth)
+        other = off(peer(frame), sample)
         assert error[sample.gap].mean() < 0.5 * other[sample.gap].mean()
         assert error[sample.mismatch].mean() < other[sample.mismatch].mean()

@@ -16,7 +16,7 @@ from depthcli.methods.kinect.pipeline.sequence import carried_labels, still_pixe
 from depthcli.simulate.depth_sensor import KinectSample
 from depthcli.simulate.kinect_scenes import make_kinect_sequence
 from tests.contracts.inputs import preset
-from tests.methods.kinect._made import blocks, labels_of, noisy, random_planes, same_points
+from tests.methods.kinect._made import blocks, labels_of, noisy, off, random_planes, same_points
 from tests.naive import kinect as naive
 
 
@@ -37,42 +37,34 @@ def run(pipeline, samples, state=None):
     return results, state
 
 
-def off(result, sample):
-    return np.abs(RgbdFrame.fb / result.depth.values - sample.truth)
-
-
-@functools.cache
-def both_ways(kind: str, seed: int):
-    """The frames, refined along the sequence and each by itself."""
-    samples = make_kinect_sequence(kind, 8, seed, 320, 240, 40)
-    pipeline = sequence()
-    along, state = run(pipeline, samples)
-    assert state.age == len(samples) - 1  # segments were computed once
-    return samples, along, [pipeline(sample.frame()) for sample in samples]
+def mean_error(results, samples):
+    """After the first frame."""
+    return np.mean([off(result, sample).mean() for result, sample in zip(results, samples, strict=True)][1:])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["static", "moving"])
 def test_as_good_as_frame_by_frame(kind):
-    errors = np.zeros(2)
+    errors, pipeline = np.zeros(2), sequence()
     for seed in (0, 1):
-        samples, *ways = both_ways(kind, seed)
-        errors += [np.mean([off(r, s).mean() for r, s in zip(way, samples, strict=True)][1:]) for way in ways]
+        samples = make_kinect_sequence(kind, 8, seed, 320, 240, 40)
+        along, state = run(pipeline, samples)
+        assert state.age == 7  # segments were computed once
+        errors += [mean_error(way, samples) for way in (along, [pipeline(sample.frame()) for sample in samples])]
     assert errors[0] <= 1.05 * errors[1]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("known", "motion"), [(True, "pose"), (False, "estimated")])
 def test_a_moving_camera_is_followed_with_less_error_and_less_noise_than_frame_by_frame(known, motion):
-    errors, noise = np.zeros(2), np.zeros(2)
-    pipeline = sequence()
+    errors, noise, pipeline = np.zeros(2), np.zeros(2), sequence()
     for seed in (0, 1):
         samples = make_kinect_sequence("camera", 6, seed, 320, 240, 40)
         given = [replace(sample, pose=sample.pose if known else None) for sample in samples]
         along, _ = run(pipeline, given)
         assert [result.words["motion"] for result in along] == ["new"] + [motion] * 5
         ways = along, [pipeline(sample.frame()) for sample in given]
-        errors += [np.mean([off(r, s).mean() for r, s in zip(way, samples, strict=True)][1:]) for way in ways]
+        errors += [mean_error(way, samples) for way in ways]
         places = [same_points(samples[0], sample) for sample in samples]
         seen = np.all([there for _, there in places], axis=0)
         for k, way in enumerate(ways):
@@ -81,8 +73,7 @@ def test_a_moving_camera_is_followed_with_less_error_and_less_noise_than_frame_b
                 for r, s, (at, _) in zip(way, samples, places, strict=True)
             ]
             noise[k] += np.std(maps, axis=0)[seen].mean()
-    assert errors[0] < 0.95 * errors[1]
-    assert noise[0] < 0.8 * noise[1]
+    assert errors[0] < 0.95 * errors[1] and noise[0] < 0.8 * noise[1]
 
 
 @pytest.mark.parametrize("kind", ["static", "moving"])
@@ -106,8 +97,7 @@ def test_the_view_after_a_motion_shows_a_slanted_plane_where_it_is(turn):
     motion[:3, :3] = cv2.Rodrigues(np.array([0, 0, turn]))[0]
     motion[:3, 3] = 0.02, 0.01, -0.05
     view = view_after(motion, color, disparity, camera, fb, 0.5)
-    inner = view.reached[12:-12, 12:-12]
-    assert inner.all()
+    assert view.reached[12:-12, 12:-12].all()
     y, x = np.nonzero(view.reached)
     old_y, old_x = np.divmod(view.source[y, x], 80)
     z = fb / disparity[old_y, old_x]
@@ -133,7 +123,10 @@ def test_segments_are_new_after_max_age_and_much_change():
     np.testing.assert_array_equal(result.depth.values, pipeline(other).depth.values)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (14, 23)])
+shapes = pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (14, 23)])
+
+
+@shapes
 def test_still_pixels(shape):
     rng = np.random.default_rng(0)
     color = blocks(*shape)
@@ -144,7 +137,7 @@ def test_still_pixels(shape):
     np.testing.assert_array_equal(found, same & ~(np.abs(reliable - disparity) > 2))
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (14, 23)])
+@shapes
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.8, 1.0])
 def test_carried_labels(shape, share):
     rng = np.random.default_rng(2)
@@ -160,5 +153,5 @@ def test_carried_labels(shape, share):
     measurement = replace(Measurement.of(frame, 5.0, 0.0, False, 0.3), reliable=reliable, limit=limit)
     found = carried_labels(Layer(labels, surfaces, own), still, color, measurement)
     expected = naive.carried_labels(labels, own, still, color, reliable, limit, value_at, scale, 1.5, 0.3)
-    np.testing.assert_array_equal(found[0], expected[0])
-    np.testing.assert_array_equal(found[1], expected[1])
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one, other)

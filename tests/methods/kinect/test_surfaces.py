@@ -29,16 +29,14 @@ def test_max_disparity_in_gaps(shape, unknown):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_plane_by_huber(seed):
-    rng = np.random.default_rng(seed)
-    height, width = 9, 10
-    rows, columns = np.mgrid[:height, :width].astype(float)
-    values = (30 + 0.4 * columns - 0.2 * rows + 0.1 * rng.standard_normal((height, width))).astype(np.float32)
-    values[rng.random((height, width)) < 0.2] += 9
-    values[rng.random((height, width)) < 0.2] = np.nan
+    rng, shape = np.random.default_rng(seed), (9, 10)
+    places = np.mgrid[:9, :10].astype(float)
+    values = (30 + 0.4 * places[1] - 0.2 * places[0] + 0.1 * rng.standard_normal(shape)).astype(np.float32)
+    values[rng.random(shape) < 0.2] += 9
+    values[rng.random(shape) < 0.2] = np.nan
     known = ~np.isnan(values)
-    fitted = Polynomial(iterations=100)(values, np.zeros((height, width), np.int32), 0.05)
-    (center_y, center_x) = fitted.center[0]
-    x, y = (columns[known] - center_x) / width, (rows[known] - center_y) / width
+    fitted = Polynomial(iterations=100)(values, np.zeros(shape, np.int32), 0.05)
+    y, x = (places[:, known] - fitted.center[0][:, None]) / 10
     beta, scale = naive.huber_plane(values[known].astype(float), x, y, 1.345, 0.05)
     np.testing.assert_allclose(fitted.coefficients[0, :3], beta, atol=0.02)
     np.testing.assert_allclose(fitted.scale[0], scale, rtol=0.1)
@@ -57,7 +55,7 @@ def test_degree_follows_what_is_known(known, degree, expected):
 
 
 def test_warm_start_follows_a_change_and_keeps_surfaces_without_known_pixels():
-    _rows, columns = np.mgrid[:30, :60].astype(np.float32)
+    columns = np.mgrid[:30, :60][1].astype(np.float32)
     labels = (columns >= 30).astype(np.int32)
     first = Polynomial()(20 + 0.2 * columns, labels, 0.1)
     moved = np.where(labels == 0, 20.6 + 0.2 * columns, np.nan).astype(np.float32)
@@ -71,9 +69,7 @@ def test_warm_start_follows_a_change_and_keeps_surfaces_without_known_pixels():
 @pytest.mark.parametrize("reach", [0.8, 4.0])
 @pytest.mark.parametrize("unknown", [0.0, 0.5, 1.0])
 def test_detail(shape, reach, unknown):
-    labels = labels_of(*shape)
-    known = noisy(*shape, unknown=unknown)
-    surface = np.full(shape, 22, np.float32)
+    labels, known, surface = labels_of(*shape), noisy(*shape, unknown=unknown), np.full(shape, 22, np.float32)
     scale = np.random.default_rng(3).uniform(0.2, 2, labels.max() + 1).astype(np.float32)
     expected = naive.detail(surface.astype(float), known.astype(float), labels, scale, reach)
     add_detail(surface, known, labels, scale, reach)

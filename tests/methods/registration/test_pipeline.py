@@ -8,15 +8,12 @@ import pytest
 from scipy import ndimage
 
 from depthcli.core.context import Clock
-from depthcli.core.method import Family
 from depthcli.core.volumes import RegisteredPair
 from depthcli.evaluation.statistics import correlation, ranks
 from depthcli.methods.registration.pipeline.search import monotone
 from depthcli.problems.registration import RegisterConfidenceConfig
 from depthcli.simulate.deformed_volumes import make_deformed_pair, smooth_noise
-from tests.contracts.inputs import soft_volume
-
-FEATURES = Family.of("depthcli.methods.registration.feature")
+from tests.contracts.inputs import part, soft_volume
 
 
 def texture(shape, seed=0, sigma=1.2):
@@ -25,6 +22,11 @@ def texture(shape, seed=0, sigma=1.2):
 
 def config(**fields):
     return RegisterConfidenceConfig(**{"radius": 4, "half_window": 2, "stride": 1, **fields}).pipeline
+
+
+def shifted(volume, before, after, spacing=(1.0, 1.0, 1.0)):
+    """Two windows of a volume along x."""
+    return RegisteredPair(volume[:, :, before].copy(), volume[:, :, after].copy(), spacing)
 
 
 @pytest.fixture(scope="module")
@@ -43,10 +45,9 @@ def test_certainty_of_identical_volumes_without_texture_is_high():
 
 def test_expected_error_of_a_uniform_shift_is_its_length():
     wide = texture((24, 24, 32))
-    means, inner = [], (slice(6, -6),) * 3
+    means, inner = [], np.s_[6:-6, 6:-6, 6:-6]
     for shift in range(4):
-        pair = RegisteredPair(wide[:, :, 4:28].copy(), wide[:, :, 4 - shift : 28 - shift].copy(), (1.0, 1.0, 1.0))
-        result = config()(pair)
+        result = config()(shifted(wide, slice(4, 28), slice(4 - shift, 28 - shift)))
         means.append(float(result.certainty[inner].mean()))
         if shift:
             assert result.expected_error[inner].mean() == pytest.approx(shift, rel=0.25)
@@ -57,8 +58,8 @@ def test_expected_error_of_a_uniform_shift_is_its_length():
 def test_expected_error_ranks_voxels_as_the_true_error_does(deformed):
     pair, true = deformed
     result = config(levels=2, stride=2)(pair)
-    every = (slice(None, None, 2),) * 3
-    found, known = result.expected_error[pair.mask[every]], true[every][pair.mask[every]]
+    mask, known = (each[::2, ::2, ::2] for each in (pair.mask, true))
+    found, known = result.expected_error[mask], known[mask]
     assert result.step == (2, 2, 2)
     assert correlation(ranks(found), ranks(known)) > 0.75
     assert np.abs(found - known).mean() < 0.6 * known.mean()
@@ -85,17 +86,14 @@ def test_expected_error_is_a_mean_weighted_by_inverse_variance(deformed):
 @pytest.mark.slow
 def test_coarse_level_finds_errors_beyond_the_radius():
     wide = texture((28, 40, 52), sigma=2.5)
-    pair = RegisteredPair(wide[:, :, 6:46].copy(), wide[:, :, :40].copy(), (1.0, 1.0, 1.0))
-    inner = (slice(10, -10),) * 3
-    near, far = (config(levels=levels)(pair) for levels in (1, 2))
+    near, far = (config(levels=levels)(shifted(wide, slice(6, 46), slice(40))) for levels in (1, 2))
     assert near.figures["border"] > 0.2 > 0.1 > far.figures["border"]  # of the coarser search
-    assert far.expected_error[inner].mean() == pytest.approx(6, rel=0.25)
-    assert abs(far.expected_error[inner].mean() - 6) < abs(near.expected_error[inner].mean() - 6)
+    close, distant = (each.expected_error[10:-10, 10:-10, 10:-10].mean() for each in (near, far))
+    assert distant == pytest.approx(6, rel=0.25) and abs(distant - 6) < abs(close - 6)
 
 
 def test_shift_of_a_single_slice_lies_in_its_plane():
-    wide = texture((9, 40, 48))[4:5]
-    pair = RegisteredPair(wide[:, :, 2:46].copy(), wide[:, :, :44].copy(), (1.0, 0.8, 0.8))
+    pair = shifted(texture((9, 40, 48))[4:5], slice(2, 46), slice(44), (1.0, 0.8, 0.8))
     result = config()(pair)  # fixed(x) = wide(x + 2) = warped(x + 2): the match lies 2 voxels of 0.8 mm up x
     assert result.step[0] == 1 and result.expected_error.shape[0] == 1
     assert not result.shift[0].any()
@@ -125,6 +123,5 @@ def test_fitted_error_rises_with_the_score():
 @pytest.mark.parametrize("name", ["mind", "mind_ssc", "local_ncc"])
 def test_channels_are_the_same_at_any_contrast(name):
     volume = soft_volume(4)
-    feature = FEATURES.load(name)()
-    one, other = feature(volume, 3 * volume + np.float32(50))
+    one, other = part("methods.registration.feature", name)(volume, 3 * volume + np.float32(50))
     assert np.abs(one.astype(int) - other.astype(int)).max() <= 1

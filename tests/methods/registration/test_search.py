@@ -47,38 +47,35 @@ def test_stereo_measures_of_a_line_equal_those_of_a_stereo_pair():
             assert found.maps[name][0, 0, x] == pytest.approx(measure(name)(alone)[0, 0], rel=2e-3), (name, x)
 
 
+def assert_same(found, every, stride=1):
+    """The same values as at every n-th voxel of another search."""
+    maps = {**every.maps, "displacement": every.displacement, "border": every.border}
+    for name, values in {**found.maps, "displacement": found.displacement, "border": found.border}.items():
+        np.testing.assert_array_equal(values, maps[name][..., ::stride, ::stride, ::stride], err_msg=name)
+
+
 def test_same_bytes_at_any_tile_and_thread_count():
-    fixed, warped = channels(2, (9, 13, 17), 6), channels(3, (9, 13, 17), 6)
-    whole = search(fixed, warped, 1.0, 2, 2, costly=True)
+    views = channels(2, (9, 13, 17), 6), channels(3, (9, 13, 17), 6)
+    whole = search(*views, 1.0, 2, 2, costly=True)
     for count, tile in itertools.product((1, 2), ((9, 13, 17), (4, 5, 7), (1, 1, 3))):
         with threads(count):
-            parts = search(fixed, warped, 1.0, 2, 2, costly=True, tile=tile)
-        assert all(np.array_equal(parts.maps[name], whole.maps[name]) for name in whole.maps)
-        assert np.array_equal(parts.displacement, whole.displacement)
-        assert np.array_equal(parts.border, whole.border)
+            assert_same(search(*views, 1.0, 2, 2, costly=True, tile=tile), whole)
 
 
 @pytest.mark.parametrize("stride", [2, 3, 5])
 @pytest.mark.parametrize("shape", [(9, 11, 13), (1, 8, 7)])
 def test_measures_at_a_stride_equal_those_at_every_voxel(stride, shape):
-    fixed, warped = channels(7, shape, 4), channels(8, shape, 4)
-    every, some = (search(fixed, warped, 1.0, 2, 2, costly=True, stride=step) for step in (1, stride))
-    chosen = tuple(slice(None, None, stride) for _ in shape)
-    assert all(np.array_equal(some.maps[name], every.maps[name][chosen]) for name in every.maps)
-    assert np.array_equal(some.displacement, every.displacement[(slice(None), *chosen)])
-    assert np.array_equal(some.border, every.border[chosen])
-    parts = search(fixed, warped, 1.0, 2, 2, costly=True, stride=stride, tile=(1, 2, 1))
-    assert all(np.array_equal(some.maps[name], parts.maps[name]) for name in some.maps)
+    views = channels(7, shape, 4), channels(8, shape, 4)
+    every = search(*views, 1.0, 2, 2, costly=True)
+    for tile in ({}, {"tile": (1, 2, 1)}):
+        assert_same(search(*views, 1.0, 2, 2, costly=True, stride=stride, **tile), every, stride)
 
 
 @pytest.mark.parametrize("offset", [(0, 0, 0), (2, 0, 0), (0, -1, 0), (1, 2, -2)])
 def test_expected_displacement_of_a_shifted_volume_is_the_shift(offset):
     wide = channels(4, (18, 18, 18), 3)
-    inner = tuple(slice(3, 15) for _ in range(3))
-    moved = tuple(slice(3 - d, 15 - d) for d in offset)
-    views = (np.ascontiguousarray(wide[(slice(None), *part)]) for part in (inner, moved))
-    found = search(*views, 2.0, 3, 1)
-    middle = (slice(4, 8),) * 3
-    for axis in range(3):
-        assert np.allclose(found.displacement[(axis, *middle)], 2.0 * offset[axis], atol=0.05)
-    assert np.allclose(found.maps["shift"][middle], 2 * np.linalg.norm(offset))
+    places = [tuple(slice(3 - d, 15 - d) for d in each) for each in ((0, 0, 0), offset)]
+    found = search(*(np.ascontiguousarray(wide[(slice(None), *part)]) for part in places), 2.0, 3, 1)
+    means = found.displacement[:, 4:8, 4:8, 4:8].reshape(3, -1).T
+    assert np.allclose(means, 2.0 * np.array(offset), atol=0.05)
+    assert np.allclose(found.maps["shift"][4:8, 4:8, 4:8], 2 * np.linalg.norm(offset))

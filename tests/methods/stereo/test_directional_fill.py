@@ -41,34 +41,25 @@ def test_against_the_reference(height, width, disparities, scales):
         assert np.count_nonzero(result.values != disparity.values) > 10
 
 
-WALL, BOARD = (90, 140, 90), (200, 60, 60)
-
-
-def between_two_boards(color):
-    """A gap of a color between two boards, a wall above them; the fill took the farther board."""
-    values = np.full((60, 90), np.float32(5))
-    values[20:, :40], values[20:, 60:] = 20, 30
-    colors = np.full((60, 90, 3), WALL, np.uint8)
-    colors[20:, :40], colors[20:, 40:60], colors[20:, 60:] = BOARD, color, (60, 60, 200)
-    gap = np.zeros((60, 90), np.bool_)
+def between_two_boards():
+    """A wall seen between two boards, where the fill took the farther board."""
+    values, gap = np.full((60, 90), np.float32(5)), np.zeros((60, 90), np.bool_)
+    values[20:, :40], values[20:, 40:60], values[20:, 60:] = 20, np.nan, 30
+    colors = np.full((60, 90, 3), (90, 140, 90), np.uint8)
+    colors[20:, :40], colors[20:, 60:] = (200, 60, 60), (60, 60, 200)
     gap[20:, 40:60] = True
-    status = gap * np.uint8(Status.OCCLUDED)
     right = np.full((60, 90), 40, np.uint16)  # contradicts nothing
     context = RefinementContext(StereoPair(colors, colors), CostVolume(np.zeros((60, 90, 41), np.uint8)), right)
-    disparity = BackgroundFill()(DisparityMap(np.where(gap, np.float32(np.nan), values), status), context)
+    disparity = BackgroundFill()(DisparityMap(values, gap * np.uint8(Status.OCCLUDED)), context)
     assert np.all(disparity.values[gap] == 20)
     return disparity, context, gap
 
 
-def test_a_gap_takes_the_surface_that_no_edge_separates_from_it():
-    disparity, context, gap = between_two_boards(WALL)
+def test_a_gap_takes_the_surface_that_no_edge_separates_from_it_and_the_right_view_does_not_contradict():
+    disparity, context, gap = between_two_boards()
     result = DirectionalFill()(disparity, context)
     assert np.all(result.values[20:, 43:57] == 5)  # nearer to the boards the smoothed image mixes the colors
     np.testing.assert_array_equal(result.values[~gap], disparity.values[~gap])
-
-
-def test_values_that_the_right_view_contradicts_cost_more():
-    disparity, context, gap = between_two_boards(WALL)
     seen = RefinementContext(context.pair, context.volume, np.zeros_like(context.right))
     before = DirectionalFill(distance_scale=16)(disparity, context).values[gap]
     contradicted = DirectionalFill(distance_scale=16)(disparity, seen).values[gap]

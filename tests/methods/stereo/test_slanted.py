@@ -39,17 +39,14 @@ def test_a_plane_has_its_slope_and_a_flat_map_none():
     image = np.full((40, 50, 3), 90, np.uint8)
     plane = (5 + 0.25 * x + 0.125 * y).astype(np.float32)
     found = slopes(plane, image)[:, 10:-10, 10:-10]
-    np.testing.assert_allclose(found[0], 0.25, atol=0.02)
-    np.testing.assert_allclose(found[1], 0.125, atol=0.02)
-    assert not slopes(np.full((40, 50), 7, np.float32), image).any()
-    assert not slopes(np.full((40, 50), np.nan, np.float32), image).any()
+    np.testing.assert_allclose(found, np.broadcast_to([[[0.25]], [[0.125]]], found.shape), atol=0.02)
+    assert not any(slopes(np.full((40, 50), value, np.float32), image).any() for value in (7, np.nan))
 
 
 @pytest.mark.parametrize(("height", "width"), SIZES)
 def test_the_median_agrees_with_the_reference(height, width):
     values, image = bumpy(height, width)
-    step = SlantedMedian(radius=3, color_scale=20, distance_scale=4)
-    result = step.filtered(values, image, 200)
+    result = SlantedMedian(radius=3, color_scale=20, distance_scale=4).filtered(values, image, 200)
     low, high = naive.slanted_median(values, slopes(values, image, 16), image, 3, 20, 4)
     valid = ~np.isnan(values)
     np.testing.assert_array_equal(np.isnan(result), ~valid)
@@ -63,11 +60,10 @@ def test_a_slope_at_a_color_edge_is_not_flattened():
     x = np.tile(np.arange(60), (40, 1))
     truth = (10 + 0.5 * x).astype(np.float32)
     image = np.where((x < 30)[:, :, None], np.uint8(40), np.uint8(200)) * np.ones(3, np.uint8)
-    pair = StereoPair(image, image)
-    evidence = RefinementContext(pair, CostVolume(np.zeros((40, 60, 64), np.uint8)), np.zeros((40, 60), np.uint16))
-    given = DisparityMap(truth, np.zeros(truth.shape, np.uint8))
-    edge = np.s_[16:-16, 28:32]
-    plain = WeightedMedian(radius=6, color_scale=8, distance_scale=5)(given, evidence).values
-    slanted = SlantedMedian(radius=6, color_scale=8, distance_scale=5)(given, evidence).values
-    assert np.abs(plain - truth)[edge].max() > 0.5
-    assert np.abs(slanted - truth)[edge].max() <= 0.15
+    volume, given = CostVolume(np.zeros((40, 60, 64), np.uint8)), DisparityMap(truth, np.zeros(truth.shape, np.uint8))
+    context = RefinementContext(StereoPair(image, image), volume, np.zeros((40, 60), np.uint16))
+    plain, slanted = (
+        np.abs(step(radius=6, color_scale=8, distance_scale=5)(given, context).values - truth)[16:-16, 28:32].max()
+        for step in (WeightedMedian, SlantedMedian)
+    )
+    assert plain > 0.5 and slanted <= 0.15

@@ -1,7 +1,5 @@
 """Bounds of completed depth: what widens them, and what is known of the surroundings of a pixel."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -17,22 +15,15 @@ SHAPE = 90, 120
 
 def frame_and_map() -> tuple[SparseFrame, DepthMap]:
     """Return a wall at 1 m with a gap on the left, and samples but for a region on the right."""
-    rng = np.random.default_rng(0)
+    rng, status = np.random.default_rng(0), np.zeros(SHAPE, np.uint8)
     sensor = (1 + 0.002 * rng.standard_normal(SHAPE)).astype(np.float32)
-    status = np.zeros(SHAPE, np.uint8)
-    sparse = np.where(rng.random(SHAPE) < 0.1, np.float32(1), np.float32(np.nan)) + 0.008 * rng.standard_normal(SHAPE)
-    sparse = sparse.astype(np.float32)
+    sparse = np.where(rng.random(SHAPE) < 0.1, 1 + 0.008 * rng.standard_normal(SHAPE), np.nan).astype(np.float32)
     sparse[20:70, 70:] = np.nan
     status[30:60, 10:40] = DepthStatus.GAP_FILLED
     values = np.where(status > 0, np.float32(1), sensor)
     sensor[status > 0] = np.nan
     values[0, 0], status[0, 0] = np.nan, DepthStatus.EMPTY
     return SparseFrame(np.full((*SHAPE, 3), 90, np.uint8), sensor, sparse=sparse), DepthMap(values, status)
-
-
-def median(frame: SparseFrame, found: DepthMap, rows: slice, columns: slice) -> float:
-    bound, _ = glass_bounds(glass_errors(), frame, found, 0.9, 0.03)
-    return float(np.median(bound[rows, columns]))
 
 
 def test_evidence_by_hand():
@@ -50,13 +41,15 @@ def test_evidence_by_hand():
 
 def test_bounds_are_wide_where_nothing_was_measured():
     frame, found = frame_and_map()
-    around, unsampled = (slice(72, 90), slice(0, 60)), (slice(35, 55), slice(90, 120))
-    filled = slice(35, 55), slice(15, 35)
-    assert median(frame, found, *around) < 0.03
-    assert median(frame, found, *unsampled) > 5 * median(frame, found, *around)
-    wrong = np.where(np.isnan(frame.depth) & np.isfinite(frame.sparse), np.float32(0.8), frame.sparse)
-    assert median(replace(frame, sparse=wrong), found, *filled) > 2 * median(frame, found, *filled)
-    objects = np.isnan(frame.depth)
-    assert median(replace(frame, objects=objects), found, *filled) > 2 * median(frame, found, *filled)
-    bound, probability = glass_bounds(glass_errors(), frame, found, 0.9, 0.03)
+
+    def bounds(**changes):
+        return glass_bounds(glass_errors(), replace(frame, **changes), found, 0.9, 0.03)
+
+    bound, probability = bounds()
+    around, unsampled = np.median(bound[72:90, :60]), np.median(bound[35:55, 90:120])
+    assert around < 0.03 and unsampled > 5 * around
+    blind, filled = np.isnan(frame.depth), np.s_[35:55, 15:35]
+    wrong = np.where(blind & np.isfinite(frame.sparse), np.float32(0.8), frame.sparse)
+    for wider, _ in (bounds(sparse=wrong), bounds(objects=blind)):
+        assert np.median(wider[filled]) > 2 * np.median(bound[filled])
     assert np.isnan(bound[0, 0]) and probability[0, 0] == 0 and np.isfinite(bound[found.valid]).all()

@@ -1,12 +1,13 @@
-"""Upright SURF: its filters, what it finds, and how its descriptors behave under changes of the picture."""
+"""Upright SURF under changes of the picture, and key points matched along epipolar lines, against naive references."""
 
 import cv2
 import numpy as np
 import pytest
 
-from depthcli.algorithms.keypoints import surf
+from depthcli.algorithms.keypoints import KeyPoints, surf
 from depthcli.algorithms.keypoints.surf import Surf
 from depthcli.kernels.jit import run_bands
+from depthcli.methods.stereo.keypoint_matching import KeyPointMatching
 from tests.contracts.inputs import blobs
 from tests.naive import segments as naive
 
@@ -56,3 +57,34 @@ def test_found_again_after_small_rotation_and_scaling(angle, scale, least):
     near = np.hypot(moved.x - x[:, None], moved.y - y[:, None]) < 1.5
     alike = np.linalg.norm(moved.descriptors - points.descriptors[:, None], axis=2) < 0.35
     assert (near & alike).any(axis=1)[inner].mean() > least  # where expected, with a similar description
+
+
+def _points(rng, count):
+    descriptors = rng.random((count, 8)).astype(np.float32)
+    descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True) + 1e-9
+    values = (rng.uniform(*ends, count).astype(np.float32) for ends in ((0, 40), (0, 4), (1, 1.3), (0, 1)))
+    return KeyPoints(*values, rng.choice([-1, 1], count).astype(np.int8), descriptors)
+
+
+@pytest.mark.parametrize("counts", [(0, 0), (0, 5), (5, 0), (1, 1), (40, 50), (90, 60)])
+@pytest.mark.parametrize("ratio", [0.7, 1.0])
+def test_agrees_with_the_naive_matcher(counts, ratio):
+    rng = np.random.default_rng(sum(counts))
+    left, right = _points(rng, counts[0]), _points(rng, counts[1])
+    settings = dict(ratio=ratio, max_distance=0.9, max_scale_ratio=1.1)
+    found = KeyPointMatching(**settings, agreeing=0)(left, right, 20)
+    pairs = set(zip(found.left.tolist(), found.right.tolist(), strict=True))
+    assert pairs == naive.matches(left, right, 20, 0.5, **settings)
+    assert np.array_equal(found.disparity, left.x[found.left] - right.x[found.right])
+
+
+def test_repetition_is_rejected():
+    """Two candidates that look alike, far from each other: ambiguous; two responses at one spot: not."""
+
+    def at(*xs):
+        ones = np.ones(len(xs), np.float32)
+        descriptors = np.stack([ones, 0 * ones], axis=1)
+        return KeyPoints(np.array(xs, np.float32), ones, ones, ones, ones.astype(np.int8), descriptors)
+
+    for others, expected in (((), 1), ((14,), 0), ((5,), 1), ((19,), 1)):  # 5 is out of range
+        assert len(KeyPointMatching(agreeing=0)(at(30), at(20, *others), 20)) == expected
