@@ -190,6 +190,16 @@ def test_pairs_are_found_by_name(tmp_path: Path, names: tuple[str, ...]) -> None
     ]  # fmt: skip
 
 
+def test_folders_of_two_cameras_may_have_the_camera_in_their_names(tmp_path: Path) -> None:
+    for names in (("left01.png", "right01.png"), ("cam0_1.png", "cam1_1.png"), ("1.png", "1.png")):
+        files = [tmp_path / names[0] / side / name for side, name in zip("ab", names, strict=True)]
+        for file in files:
+            file.parent.mkdir(parents=True)
+            file.touch()
+        photos, unnamed = find_photos([file.parent for file in files])
+        assert [(each.left, each.right) for each in photos] == [tuple(files)] and unnamed == []
+
+
 @pytest.mark.parametrize(("columns", "rows"), [(9, 6), (8, 6), (7, 7)])
 @pytest.mark.parametrize("turned", [0, 180])
 def test_both_views_of_a_board_number_its_corners_alike(columns: int, rows: int, turned: int) -> None:

@@ -4,10 +4,13 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pytest
 
+from depthcli.run.console import Reporter
 from tests.command_line import start, statuses, wait_for
 
 pytestmark = [
@@ -74,6 +77,18 @@ def test_sigterm_ends_like_ctrl_c(made_scenes: Path, tmp_path: Path):
     assert "terminated; run the same command again" in err
     assert set(statuses(tmp_path / "r").values()) == {"done"}
     assert not list((tmp_path / "r").glob(".partial-*"))
+
+
+def test_a_terminal_shows_a_bar_with_failures(monkeypatch: pytest.MonkeyPatch, capsys):
+    """Without a thread of the bar's own, beside which no worker could be forked."""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    reporter, threads = Reporter(), threading.active_count()
+    with reporter.counting(2, 0, "stereo"):
+        for failed in (True, False):
+            time.sleep(0.21)  # a bar is drawn five times a second at most
+            reporter.step(failed)
+        assert threading.active_count() == threads
+    assert any("2/2" in bar and "1 failed" in bar for bar in capsys.readouterr().err.split("\r"))
 
 
 @pytest.mark.parametrize("options", ["--version", "stereo --help"])

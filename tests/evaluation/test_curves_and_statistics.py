@@ -69,11 +69,11 @@ def test_average_rank_agrees_with_scipy(rows, columns, seed):
 
 
 def test_paired_comparison():
-    result = compare([10, 20, 30, 40, float("nan")], [9, 18, 33, 40, 1])
+    result = compare([1, 2, 3, 4, math.nan], [0.9, 1.8, 3.3, 4, 1])
     assert (result.scenes, result.wins, result.losses, result.ties) == (4, 2, 1, 1)
     assert result.mean_difference == pytest.approx(0)
     assert result.worst_ratio == pytest.approx(1.1)
-    # |differences| 1, 2, 3 are ranks 1, 2, 3; a sum of wins of 3 or less, or of 3 or more, is all there is.
+    # |differences| 0.1, 0.2, 0.3 are ranks 1, 2, 3; a sum of wins of 3 or less, or of 3 or more, is all there is.
     assert (result.p_value, result.rank_difference) == (pytest.approx(1), pytest.approx(0))
 
 

@@ -287,16 +287,17 @@ def test_kitti_scores_the_png_that_would_be_submitted(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "metric", "value", "density"),
-    [("kitti-2012", "out", 62.5, 50), ("kitti-2015", "D1", 40, 80)],  # frames averaged; their pixels pooled
+    ("name", "metric", "value", "density", "wrong"),
+    [("kitti-2012", "out", 62.5, 50, None), ("kitti-2015", "D1", 40, 80, 2)],  # frames averaged; their pixels pooled
 )
-def test_a_frame_that_a_run_lacks_is_wholly_wrong(name, metric, value, density):
+def test_a_frame_that_a_run_lacks_is_wholly_wrong(name, metric, value, density, wrong):
     truths = [np.full((1, 4), 10, np.float32), np.full((1, 1), 10, np.float32)]
     judge = make(name)
     found = judge.scores(truths[0] + np.array([[0, 0, 0, 9]], np.float32), everywhere(truths[0], "occ"))
     absent = missing_scores(judge, everywhere(truths[1], "occ"))
     mean = judge.mean([MapResult("r", str(k), "d", judge.name, scores=tuple(s)) for k, s in enumerate((found, absent))])
-    assert pick(mean, metric, 3.0, ESTIMATED_ONLY).value == value
+    score = pick(mean, metric, 3.0, ESTIMATED_ONLY)
+    assert (score.value, score.wrong) == (value, wrong)
     assert pick(mean, metric, 3.0, INTERPOLATED).density == density
     assert math.isnan(pick(mean, "avgerr", None, INTERPOLATED).value)
 

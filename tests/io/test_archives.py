@@ -268,9 +268,7 @@ def test_urls_without_the_extra(monkeypatch: pytest.MonkeyPatch, tool) -> None:
 
 
 @pytest.mark.system
-def test_a_download_that_is_ended_says_so_and_leaves_nothing(
-    server: str, tmp_path: Path, cache: Path
-) -> None:
+def test_a_download_that_is_ended_says_so_and_leaves_nothing(server: str, tmp_path: Path, cache: Path) -> None:
     pytest.importorskip("aiohttp")
     process = start("stereo", "opencv-bm", "-i", f"{server}/stalled.zip", "-o", tmp_path / "o")
     try:

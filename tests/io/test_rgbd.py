@@ -218,6 +218,12 @@ def test_wrong_poses_are_one_line(tmp_path: Path):
         assert said in broken.problem and "\n" not in broken.problem
 
 
+def test_frames_are_numbered_without_leading_zeros(tmp_path: Path):
+    laid(tmp_path / "s", {f"{role}_{k}.png": image for role, image, numbers in (
+        ("color", COLOR, ("0000", "0001", "0010")), ("depth", DEPTH, ("0", "1", "10"))) for k in numbers})  # fmt: skip
+    assert [(scene.name, scene.number) for scene in find(tmp_path)] == [("s/0000", 0), ("s/0001", 1), ("s/0010", 10)]
+
+
 def test_sun_rotates_its_bits(tmp_path: Path):
     codes = (DEPTH << np.uint16(3)) | (DEPTH >> np.uint16(13))
     laid(tmp_path / "s", {"image/x.png": COLOR, "depth/y.png": codes, "intrinsics.txt": "500 0 4\n0 510 3\n0 0 1\n"})

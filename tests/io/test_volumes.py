@@ -203,6 +203,8 @@ def test_landmarks_that_are_no_pairs_are_said(tmp_path: Path):
         assert len(lines) == (words is not None) and all(words in line for line in lines)
     np.savetxt(files["landmarks_fixed"], places[:, ::-1], delimiter=",")
     refused(InputError, true_errors, scene)
+    np.savetxt(files["landmarks_fixed"], points[1:], delimiter=",")
+    refused(InputError, true_errors, scene)
 
 
 def test_masks_and_scans_in_each_other_s_place_are_said(tmp_path: Path):

@@ -89,6 +89,7 @@ TRUTH = np.ones((4, 5), np.float32)
         (TRUTH, TRUTH, "middlebury-v4"),
         (TRUTH[:2], TRUTH),
         (TRUTH[:2], TRUTH, "registration"),
+        (TRUTH[:2], TRUTH, "depth"),
         (TRUTH, TRUTH * np.nan),
         (TRUTH, TRUTH, "depth", {"gap": TRUTH[:3]}),
     ],

@@ -23,10 +23,14 @@ from depthcli.report import plots
 from depthcli.report.plots import Line, curve_plot, line_plot
 
 
+def _texts(svg: str) -> list[str]:
+    return ["".join(e.itertext()) for e in ElementTree.fromstring(svg).iter() if e.tag.endswith("text")]
+
+
 def test_a_plot_is_well_formed_and_escapes():
     lines = [Line("a<b & c$", [5, 50, 100], [0, 0.1, 0.2]), Line("_flat", [5, 9], [0, 0]), Line("b", [1], [1], True)]
     svg = line_plot(lines, "t<", "x", "y")
-    texts = ["".join(e.itertext()) for e in ElementTree.fromstring(svg).iter() if e.tag.endswith("text")]
+    texts = _texts(svg)
     assert {"a<b & c$", "t<", "x", "y", "b"} <= {text.strip("\u200b") for text in texts}
     assert any("_flat" in text for text in texts)
     assert svg == line_plot(lines, "t<", "x", "y") and "dc:date" not in svg
@@ -49,6 +53,15 @@ def test_a_curve_plot_names_the_areas_of_six_curves_at_most():
     best = sorted(curves, key=lambda name: curves[name].auc)[:6]
     assert {name for name in curves if f"{name} " in svg} == set(best)
     assert "the best 6 of 9" in svg and "mean absolute error" in svg
+
+
+def test_the_spread_over_scenes_begins_at_zero():
+    values = {"a": [40.0, 50.0, 60.0], "b": [np.nan, 55.0, 70.0]}
+    section: Any = SimpleNamespace(
+        runs=tuple(values), scenes=range(3), regions=("all",), protocol=SimpleNamespace(headline=None),
+        score=lambda run, scene, _: SimpleNamespace(value=values[run][scene]),
+    )  # fmt: skip
+    assert {"0", "a", "b", "bad"} <= set(_texts(plots._boxes(section, "bad")))
 
 
 @pytest.mark.slow

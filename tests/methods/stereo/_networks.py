@@ -106,7 +106,7 @@ def block_matcher(
     return graph.save(path, inputs, disparity)
 
 
-def local_features(path: Path, channels: int | None = 3, pads: int = 0, stride: int = 1) -> Path:
+def local_features(path: Path, channels: int | None = 3, pads: int = 0, stride: int = 1, batch: int = 1) -> Path:
     """Write a network that gives the 3 x 3 window of every pixel; channels None: its input is (H, W)."""
     graph = Graph()
     image = "image"
@@ -115,7 +115,7 @@ def local_features(path: Path, channels: int | None = 3, pads: int = 0, stride: 
     count = channels or 1
     kernels = graph.constant(np.eye(9 * count).reshape(9 * count, count, 3, 3), np.float32)
     output = graph.add("Conv", image, kernels, pads=[pads] * 4, strides=[stride] * 2)
-    return graph.save(path, {"image": ("H", "W") if channels is None else (1, channels, "H", "W")}, output)
+    return graph.save(path, {"image": ("H", "W") if channels is None else (batch, channels, "H", "W")}, output)
 
 
 def has_onnx() -> bool:

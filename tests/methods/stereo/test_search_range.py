@@ -66,6 +66,12 @@ def test_shifting_there_and_back_is_exact(low: int):
             np.testing.assert_allclose(costs.costs[:, x - low, d - low], expected, atol=costs.scale)
 
 
+def test_a_range_beyond_the_images_is_refused():
+    pair = StereoPair(blobs(40, 9, 1), blobs(40, 9, 2))
+    assert SearchRange(39, 50).shift(pair).shape == (9, 1)
+    refused(InputError, SearchRange(40, 50).shift, pair)
+
+
 @pytest.mark.parametrize("shift", [-12, 0, 9])
 @pytest.mark.parametrize("name", ["fast", "opencv-sgbm"])
 def test_a_converging_or_cropped_pair(shift: int, name: str, tmp_path: Path, tool):
