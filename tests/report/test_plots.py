@@ -57,7 +57,7 @@ def test_a_curve_plot_names_the_areas_of_six_curves_at_most():
 
 def test_the_spread_over_scenes_begins_at_zero():
     values = {"a": [40.0, 50.0, 60.0], "b": [np.nan, 55.0, 70.0]}
-    section: Any = SimpleNamespace(
+    section = SimpleNamespace(
         runs=tuple(values), scenes=range(3), regions=("all",), protocol=SimpleNamespace(headline=None),
         score=lambda run, scene, _: SimpleNamespace(value=values[run][scene]),
     )  # fmt: skip
