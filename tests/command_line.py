@@ -70,6 +70,13 @@ def statuses(output: Path) -> dict[str, str]:
     return {name: row["status"] for name, row in rows(output).items()}
 
 
+def ended(code: int | None, *words: str | Path, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run a program, which must end with this exit code; None: any."""
+    done = subprocess.run([*map(str, words)], capture_output=True, text=True, check=False, **options)
+    assert code in (done.returncode, None), done.stdout[-3000:] + done.stderr[-3000:]
+    return done
+
+
 def start(*arguments: str | Path) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "depthcli", *map(str, arguments)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

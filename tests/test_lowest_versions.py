@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.command_line import ended
+
 ROOT = Path(__file__).resolve().parent.parent
 
 pytestmark = pytest.mark.system
@@ -28,10 +30,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_commands_run(place: Path):
     def run(*words: str) -> str:
         names = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "NUMBA_CACHE_DIR")}
-        program = [place / "env/bin/python", "-m", "depthcli", *words]
-        done = subprocess.run(program, cwd=place, env=names, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{words}: {done.stderr[-3000:]}"
-        return done.stdout
+        return ended(0, place / "env/bin/python", "-m", "depthcli", *words, cwd=place, env=names).stdout
 
     assert "refine-kinect" in run("--help")
     run("sample", "-o", "pairs", "--count", "1", "--kind", "planes", "-q")

@@ -16,6 +16,7 @@ import pytest
 from depthcli.core.plugins import registries, registry_of
 from depthcli.io.formats.images import write_png
 from depthcli.testing.inputs import shifted_pair
+from tests.command_line import ended
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "depthcli_example"
@@ -28,6 +29,7 @@ class Environment:
 
     def __init__(self, place: Path) -> None:
         self.place, self.python = place, place / "env" / "bin" / "python"
+        self.environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
         subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(place / "env")], check=True)
         (self.packages,) = (place / "env" / "lib").glob("python*/site-packages")
         (self.packages / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
@@ -39,16 +41,11 @@ class Environment:
     def install(self, project: Path) -> None:
         for old in list(self.packages.glob(f"{PACKAGE}*")):
             shutil.rmtree(old)
-        pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps"]
-        done = self.run_program([*pip, "--target", str(self.packages), str(project)])
-        assert done.returncode == 0, done.stderr
+        pip = ["-m", "pip", "install", "--quiet", "--no-deps", "--target", self.packages]
+        ended(0, sys.executable, *pip, project, cwd=self.place, env=self.environment)
 
-    def run(self, *words: str | Path, module: str = "depthcli") -> subprocess.CompletedProcess[str]:
-        return self.run_program([str(self.python), "-m", module, *map(str, words)])
-
-    def run_program(self, words: list[str]) -> subprocess.CompletedProcess[str]:
-        environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-        return subprocess.run(words, cwd=self.place, env=environment, capture_output=True, text=True, check=False)
+    def run(self, *words: str, module: str = "depthcli", code: int = 0) -> subprocess.CompletedProcess[str]:
+        return ended(code, self.python, "-m", module, *words, cwd=self.place, env=self.environment)
 
 
 def write_version(project: Path, version: str) -> None:
@@ -69,9 +66,7 @@ def env(tmp_path_factory: pytest.TempPathFactory) -> Environment:
 
 
 def test_its_own_tests_pass(env: Environment):
-    done = env.run("-q", "-p", "no:cacheprovider", "mine/tests", module="pytest")
-    assert done.returncode == 0, done.stdout[-3000:]
-    assert "5 passed" in done.stdout
+    assert "5 passed" in env.run("-q", "-p", "no:cacheprovider", "mine/tests", module="pytest").stdout
 
 
 def test_its_readme_names_the_base_of_every_registry():
@@ -93,22 +88,18 @@ def test_it_is_listed(env: Environment):
 def test_it_runs_is_evaluated_and_is_refused_with_another_version(env: Environment):
     stereo = ["stereo", "fast", "-i", "scenes", "-o", "squared", "--jobs", "2", "--set", "cost=squared-difference"]
     stereo += ["--plugin", PACKAGE]
-    done = env.run(*stereo, "--evaluate")
-    assert done.returncode == 0, done.stderr
-    assert "Eighth of a pixel" in done.stdout
+    assert "Eighth of a pixel" in env.run(*stereo, "--evaluate").stdout
     assert "    depthcli-example: '1.0'\n" in (env.place / "squared" / "run.yaml").read_text()
     scores = json.loads((env.place / "squared" / "evaluation" / "scores.json").read_text())
     assert scores["plugins"] == {"depthcli-example": "1.0"}
     constant = ["constant", "five", "-i", "scenes", "-o", "constant", "--jobs", "2", "--plugin", PACKAGE]
-    assert env.run(*constant).returncode == 0
+    env.run(*constant)
     compared = env.run("evaluate", "squared", "constant", "--truth", "scenes", "--json", "--plugin", PACKAGE)
     assert {result["protocol"] for result in json.loads(compared.stdout)["results"]} == {"eighth-pixel"}
     assert "2 of 2 scenes are done already" in env.run(*stereo).stderr
-    assert env.run("stereo", "squared", "-i", "scenes", "-o", "preset", "--plugin", PACKAGE).returncode == 0
-
+    env.run("stereo", "squared", "-i", "scenes", "-o", "preset", "--plugin", PACKAGE)
     write_version(env.place / "mine", "1.1")
     env.install(env.place / "mine")
     for command in (stereo, constant):
-        refused = env.run(*command)
-        assert refused.returncode == 2
+        refused = env.run(*command, code=2)
         assert "'1.0'" in refused.stderr and "'1.1'" in refused.stderr and "--overwrite" in refused.stderr

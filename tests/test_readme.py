@@ -3,14 +3,13 @@
 import os
 import re
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 import depthcli
-from tests.command_line import statuses
+from tests.command_line import ended, statuses
 
 ROOT = Path(__file__).resolve().parent.parent
 README, CONTRIBUTING = ((ROOT / name).read_text("utf-8") for name in ("README.md", "CONTRIBUTING.md"))
@@ -23,11 +22,6 @@ def test_named_files_exist():
     assert missing == {"depthcli/methods/stereo/cost/squared_difference.py"}  # the example of CONTRIBUTING.md
 
 
-def _makefile() -> str:
-    page = (ROOT / "docs/batches.md").read_text("utf-8")
-    return page.partition("```make file=Makefile\n")[2].partition("```")[0]
-
-
 @pytest.mark.system
 @pytest.mark.skipif(shutil.which("make") is None, reason="no make")
 def test_the_makefile_evaluates_although_a_scene_fails(made_scenes: Path, tmp_path: Path):
@@ -38,7 +32,8 @@ def test_the_makefile_evaluates_although_a_scene_fails(made_scenes: Path, tmp_pa
     damaged.write_bytes(b"damaged")
     (tmp_path / "experiments").mkdir()
     (tmp_path / "experiments/small.yaml").write_text("base: opencv-bm\nblock: 7\n")
-    (tmp_path / "Makefile").write_text(_makefile())
+    page = (ROOT / "docs/batches.md").read_text("utf-8")
+    (tmp_path / "Makefile").write_text(page.partition("```make file=Makefile\n")[2].partition("```")[0])
     program = tmp_path / "bin/depthcli"
     program.parent.mkdir()
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m depthcli "$@"\n')
@@ -46,9 +41,7 @@ def test_the_makefile_evaluates_although_a_scene_fails(made_scenes: Path, tmp_pa
     environment = os.environ | {"PATH": f"{program.parent}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
 
     def make(code: int, *words: str) -> str:
-        command = ["make", *words]
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-        assert done.returncode == code, done.stderr
+        done = ended(code, "make", *words, cwd=tmp_path, env=environment)
         return done.stdout + done.stderr
 
     assert "depthcli evaluate" in make(0)
@@ -74,10 +67,8 @@ def test_one_version_everywhere():
 def test_the_manual_and_the_readme_are_short():
     """Words by hand: without the reference, tables that scripts write, output of commands, and the template."""
     pages = [page for page in (ROOT / "docs").rglob("*.md") if not {"reference", "plugin_template"} & set(page.parts)]
-    texts = [
-        page.read_text("utf-8")
-        for page in (*pages, *(ROOT / f"{n}.md" for n in ("README", "CONTRIBUTING", "SECURITY")))
-    ]
+    pages += [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY")]
+    texts = [page.read_text("utf-8") for page in pages]
     by_hand = [re.sub(r"<!-- begin .*?<!-- end -->", "", text, flags=re.S) for text in texts]
     outputs = re.compile(r"^```console.*?^```$", re.M | re.S)
     commands = [outputs.sub(lambda block: "\n".join(re.findall(r"^\$ .*", block[0], re.M)), text) for text in by_hand]

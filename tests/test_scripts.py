@@ -13,6 +13,7 @@ from typer.main import get_command
 
 from depthcli.cli import app
 from depthcli.device import opencl
+from tests.command_line import ended
 from tests.scenes import DATA
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -21,6 +22,7 @@ SCRIPTS = sorted(
     for file in (ROOT / "scripts").iterdir()
     if file.is_file() and file.name[0] != "_" and file.read_bytes().startswith(b"#!/usr/bin/env python3")
 )
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
 BARE = (sys.executable, "-S", "-E")  # without site-packages and PYTHONPATH
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="the scripts are for sh")]
@@ -38,10 +40,8 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     python = root / ".venv" / "bin" / "python"
     python.write_text(f'#!/bin/sh\nPYTHONPATH="{root}" exec "{sys.executable}" "$@"\n')
     python.chmod(0o755)
-    for line in (root / "scripts" / "_env.sh").read_text().splitlines():
-        if line.startswith("wanted="):
-            code = line.partition("-c '")[2].rpartition("'")[0]
-    ready = subprocess.run([*BARE, "-c", code], cwd=root, capture_output=True, text=True, check=True).stdout
+    (line,) = re.findall("^wanted=.*", (root / "scripts" / "_env.sh").read_text(), re.M)
+    ready = ended(0, *BARE, "-c", line.partition("-c '")[2].rpartition("'")[0], cwd=root).stdout
     for mark in ("ready", "ready-dev"):
         (root / ".venv" / mark).write_text(ready.rstrip("\n"))
     return root
@@ -55,12 +55,9 @@ def test_all_that_can_be_started_is_tested():
 @pytest.mark.system
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_help_by_a_python_without_packages(checkout: Path, tmp_path: Path, name: str):
-    command = [*BARE, str(checkout / "scripts" / name), "--help"]
-    done = subprocess.run(command, cwd=tmp_path, env=os.environ | {"PYTHON": sys.executable}, capture_output=True,
-                          text=True, check=False)  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(f"usage: {name} ")
-    assert done.stderr == ""
+    environment = os.environ | {"PYTHON": sys.executable}
+    done = ended(0, *BARE, checkout / "scripts" / name, "--help", cwd=tmp_path, env=environment)
+    assert done.stdout.startswith(f"usage: {name} ") and done.stderr == ""
     usage = " ".join(done.stdout.partition("\n\n")[0].split())
     assert not re.search(r"\[-[^\]]*\.\.\.", usage), "an option with several words takes positional arguments"
 
@@ -69,16 +66,12 @@ def test_a_python_that_is_too_old_is_told_in_a_line(checkout: Path, tmp_path: Pa
     old = tmp_path / "python3"
     old.write_text('#!/bin/sh\n[ "$1" = --version ] && echo "Python 3.8.1" || exit 1\n')
     old.chmod(0o755)
-    command = [*BARE, str(checkout / "scripts" / "bench"), "--help"]
-    done = subprocess.run(command, env=os.environ | {"PYTHON": str(old)}, capture_output=True, text=True, check=False)
-    assert done.returncode == 1
+    done = ended(1, *BARE, checkout / "scripts" / "bench", "--help", env=os.environ | {"PYTHON": str(old)})
     assert done.stderr == "depthcli needs Python 3.11 or newer; Python 3.8.1 is too old (set PYTHON)\n"
 
 
 @pytest.mark.parametrize(("words", "lacks_real"), [([], False), (["--all"], False), ([], True)])
-def test_the_demo_ends_with_the_addresses_of_its_pages(
-    checkout: Path, tmp_path: Path, words: list[str], lacks_real: bool
-):
+def test_the_demo_ends_with_the_addresses_of_its_pages(checkout: Path, tmp_path: Path, words, lacks_real: bool):
     """The real pair comes first; without it the demo shows generated scenes alone."""
     log = tmp_path / "log"
     tool = checkout / ".venv" / "bin" / "depthcli"
@@ -86,9 +79,7 @@ def test_the_demo_ends_with_the_addresses_of_its_pages(
     # One write a call: two of the commands run side by side.
     tool.write_text(f'#!/bin/sh\nline=$(printf "%s\\t" "$@")\necho "$line" >> "{log}"\n{code}\n')
     tool.chmod(0o755)
-    command = [str(checkout / "scripts" / "demo"), *words, "my demo"]
-    done = subprocess.run(command, cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    done = ended(0, checkout / "scripts" / "demo", *words, "my demo", cwd=tmp_path)
     parts = ["generated"] if lacks_real else ["real", "generated"]
     pages = [tmp_path / "my demo" / part / "evaluation" / "report.html" for part in parts]
     shown = done.stderr.splitlines()
@@ -103,18 +94,15 @@ def test_the_demo_ends_with_the_addresses_of_its_pages(
         get_command(app).get_command(None, name).make_context(name, rest)  # type: ignore[attr-defined, arg-type]
 
 
-def script(name: str, *words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / "scripts" / name), *words]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, cwd=ROOT)
+def script(code: int | None, name: str | Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
+    return ended(code, sys.executable, ROOT / "scripts" / name, *words, cwd=ROOT, env=ENVIRONMENT)
 
 
 @pytest.mark.system
 @pytest.mark.skipif(not DATA.is_dir(), reason="no data sets in ../shared/data")
 def test_the_page_on_the_thesis_is_up_to_date():
     """Some of the scenes, frames and registrations of each chapter are measured again."""
-    done = script("thesis", str(DATA), "--check")
-    assert done.returncode == 0, done.stdout + done.stderr
+    script(0, "thesis", DATA, "--check")
 
 
 @pytest.mark.system
@@ -133,9 +121,7 @@ def test_chapters_of_the_thesis_s_page_change_alone_and_missing_data_are_a_line(
     page = (tmp_path / "docs" / "thesis.md").read_text("utf-8")
     (tmp_path / "data").mkdir()
     for more in (["--chapter", "3"], ["--only", "v2", "--check"], ["--only", "v2"]):
-        command = [sys.executable, str(tmp_path / "scripts" / "thesis"), str(tmp_path / "data"), *more]
-        environment = os.environ | {"PYTHONPATH": str(ROOT)}
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        done = script(None, tmp_path / "scripts" / "thesis", tmp_path / "data", *more)
         assert "Traceback" not in done.stderr
         assert "middlebury_v2" in done.stderr and ("not checked" if "--check" in more else "skipped") in done.stderr
     second = slice(page.index("<!-- begin 2-tables -->"), page.index("## Chapter 3"))
@@ -151,15 +137,14 @@ def test_what_takes_minutes_starts_first(request: pytest.FixtureRequest):
 @pytest.mark.system
 def test_killed_runs_end_with_the_same_bytes():
     """Two kills of each command: of one process, and of one with two workers."""
-    done = script("kill_test", "--kills", "22", "--preset", "opencv-sgbm", "--width", "160", "--scenes", "5")
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = script(0, "kill_test", "--kills", "22", "--preset", "opencv-sgbm", "--width", "160", "--scenes", "5")
     assert done.stdout.count("every re-run gave the bytes") == 11  # commands
 
 
 @pytest.mark.system
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits as Linux has them")
 def test_it_runs_as_in_a_container():
-    done = script("container_test", "--presets", "stereo/opencv-bm", "--width", "160")
+    done = script(None, "container_test", "--presets", "stereo/opencv-bm", "--width", "160")
     if done.returncode == 2:
         pytest.skip(done.stdout)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -171,8 +156,7 @@ def test_a_gpu_is_measured_section_by_section(tmp_path: Path, device: str, code:
     if device == "opencl" and not opencl.find_devices()[0]:
         pytest.skip(opencl.find_devices()[1])
     words = ("--tiny", "--seconds", "500", "--device", device, "--only", "device,pipelines,video")
-    done = script("gpu_check", str(tmp_path), *words)
-    assert done.returncode == code, done.stderr
+    script(code, "gpu_check", tmp_path, *words)
     found = json.loads((tmp_path / "gpu_check.json").read_text())
     assert {"device", "pipelines", "video"} <= found.keys()
     assert all(bool(found[name].get("problem")) == bool(code) for name in ("device", "pipelines", "video"))

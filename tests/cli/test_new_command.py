@@ -101,7 +101,7 @@ def test_they_are_shown_and_run_as_any_other_and_the_protocol_ranks_the_runs(che
 @pytest.mark.system
 def test_they_pass_the_tests_of_their_families(checkout: Path):
     shutil.copytree(ROOT / "tests", checkout / "tests", ignore=shutil.ignore_patterns("__pycache__", "new_files"))
-    files = ("methods/stereo/test_contract_cost", "evaluation/test_protocols", "report/test_plots")
+    files = ("contracts/test_families", "evaluation/test_protocols", "report/test_plots")
     options = ("-q", "-p", "no:cacheprovider", "--renew")  # the new members have no messages yet
     done = run(checkout, *options, *(f"tests/{name}.py" for name in files), module="pytest")
     assert done.returncode == 0, done.stdout[-3000:]

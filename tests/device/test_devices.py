@@ -2,7 +2,6 @@
 
 import importlib.resources
 import os
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +17,7 @@ from depthcli.core.errors import ConfigError
 from depthcli.device import DeviceError, DeviceInfo, Kernels, Launch, find_device, open_device
 from depthcli.device.cuda import OPTIONS
 from depthcli.device.dialect import COMMON, CUDA
-from tests.command_line import rows
+from tests.command_line import ended, rows
 from tests.device import nvrtc
 from tests.golden import refused
 
@@ -31,11 +30,8 @@ def test_device_implementations_in_a_process_of_their_own():
     if not found:
         pytest.skip(why)
     tests = Path(__file__).with_name("implementations.py")
-    run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", str(tests)],
-        cwd=tests.parents[2], capture_output=True, text=True, timeout=_LIMIT, check=False,
-    )  # fmt: skip
-    assert run.returncode == 0, run.stdout[-3000:] + run.stderr[-3000:]
+    command = (sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", tests)
+    ended(0, *command, cwd=tests.parents[2], timeout=_LIMIT)
 
 
 FILES = sorted(Path(str(importlib.resources.files("depthcli"))).rglob("*.cl"))
@@ -77,8 +73,7 @@ def test_without_devices_all_that_needs_one_is_skipped_with_the_reason(tmp_path)
     environment = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{root}", "PATH": path}
     tests = ["tests/device/test_devices.py", "tests/test_scripts.py", "-k", "process_of_their_own or gpu_is_measured"]
     command = [sys.executable, "-m", "pytest", "-q", "-rs", "-n0", "-p", "no:cacheprovider", *tests]
-    run = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, timeout=_LIMIT)
-    assert run.returncode == 0, run.stdout[-3000:] + run.stderr[-3000:]
+    run = ended(0, *command, cwd=root, env=environment, timeout=_LIMIT)
     assert "pyopencl is not installed" in run.stdout + run.stderr
 
 

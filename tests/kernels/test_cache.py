@@ -4,7 +4,6 @@ import ast
 import os
 import re
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import NamedTuple
@@ -14,6 +13,7 @@ import pytest
 
 from depthcli.kernels import cache
 from depthcli.kernels.jit import empty, helper, jit, zeros
+from tests.command_line import ended
 
 ROOT = Path(__file__).parents[2]
 
@@ -66,9 +66,7 @@ def use(tmp_path: Path, before: str = "", source: str = "source", **environment:
         file.write_text(KERNEL)
     clean = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
     env = clean | {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)} | environment
-    command = [sys.executable, "-c", before + USE, str(file.parent)]
-    done = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    done = ended(0, sys.executable, "-c", before + USE, file.parent, env=env)
     kernels, said, timed, folder = done.stdout.split(maxsplit=3)
     return Used(int(kernels), int(said), timed == "True", folder.strip(), done.stderr)
 
@@ -206,10 +204,7 @@ def test_folders_that_nothing_used_for_a_month_are_removed(tmp_path: Path):
 def test_the_process_that_compiles_gives_the_same_bytes_as_those_that_find_the_kernel(tmp_path: Path):
     """Sums of floats in functions of a kernel: numba by itself runs other code than it keeps."""
     env = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
-    runs = [
-        subprocess.run([sys.executable, "-c", SUMS], env=env, capture_output=True, text=True, check=True).stdout.split()
-        for _ in range(2)
-    ]
+    runs = [ended(0, sys.executable, "-c", SUMS, env=env).stdout.split() for _ in range(2)]
     assert [found for _, found in runs] == ["0", "1"]
     assert runs[0][0] == runs[1][0]
 

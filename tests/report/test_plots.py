@@ -2,7 +2,6 @@
 
 import csv
 import json
-import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -21,6 +20,7 @@ from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import StereoTruth
 from depthcli.report import plots
 from depthcli.report.plots import Line, curve_plot, line_plot
+from tests.command_line import ended
 
 
 def _texts(svg: str) -> list[str]:
@@ -66,12 +66,8 @@ def test_the_spread_over_scenes_begins_at_zero():
 
 @pytest.mark.slow
 def test_matplotlib_is_not_imported_where_nothing_is_drawn(tmp_path: Path, scenes: Path, runs: list[Path]):
-    code = (
-        "import sys\nfrom depthcli.cli import main\n"
-        f"code = main(['evaluate', {str(runs[1])!r}, '--truth', {str(scenes)!r}, '-o', {str(tmp_path)!r}, '-q'])\n"
-        "sys.exit(code or ('matplotlib' in sys.modules))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    code = "import sys\nfrom depthcli.cli import main\nsys.exit(main(sys.argv[1:]) or ('matplotlib' in sys.modules))"
+    ended(0, sys.executable, "-c", code, "evaluate", runs[1], "--truth", scenes, "-o", tmp_path, "-q")
 
 
 @pytest.mark.slow

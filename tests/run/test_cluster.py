@@ -14,7 +14,7 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.run import records
-from tests.command_line import contents, rows, start, wait_for
+from tests.command_line import contents, ended, rows, start, wait_for
 from tests.conftest import sampled
 
 PRESET = "opencv-sgbm"
@@ -149,7 +149,6 @@ def test_workers_without_an_installed_plug_in_are_refused(cluster: Cluster, tmp_
     command = ["stereo", "fast", "-i", str(made_scenes), "-o", str(tmp_path / "out"), "--set", "cost=far"]
     command += ["--plugin", "far_cost"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(packages), os.environ["PYTHONPATH"]])}
-    command = [sys.executable, "-m", "depthcli", *command, "--scheduler", cluster.address]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 2, done.stderr
+    command += ["--scheduler", cluster.address]
+    done = ended(2, sys.executable, "-m", "depthcli", *command, env=environment)
     assert "not its plug-ins" in done.stderr

@@ -8,7 +8,6 @@ import json
 import os
 import shutil
 import signal
-import subprocess
 import sys
 import threading
 from collections.abc import Iterator
@@ -31,6 +30,7 @@ from depthcli.run.records import discard, hidden_folder, read_report
 from depthcli.run.runner import run_scenes
 from depthcli.run.scene import Task, Work, _keep_only, compute_scene
 from depthcli.show.table import Column, run_table
+from tests.command_line import ended
 from tests.golden import refused, told
 
 
@@ -592,7 +592,7 @@ def test_many_scenes_are_computed_in_copies_of_the_process(tmp_path: Path):
         workers.use_threads(1)
         assert not workers._may_fork()
     """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = ended(0, sys.executable, "-c", code)
     assert done.stdout == "done failed failed done\n", done.stderr
     assert "Traceback" not in done.stderr
 

@@ -16,7 +16,7 @@ from depthcli.run import workers
 from depthcli.run.console import Reporter
 from depthcli.run.folder import LOCKS_FILE, FolderLock
 from depthcli.run.job import shard_of
-from tests.command_line import contents, run, start, statuses
+from tests.command_line import contents, ended, run, start, statuses
 from tests.golden import refused
 
 FAST = "opencv-bm"
@@ -213,8 +213,7 @@ def test_a_system_without_locks_and_folders_that_open(made_scenes: Path, whole: 
         sys.exit(main(sys.argv[1:]))
     """
     common = ("-i", made_scenes, "-o", tmp_path / "run", "--scenes", "planes_0", "-q")
-    done = subprocess.run([sys.executable, "-c", code, "stereo", FAST, *common], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    ended(0, sys.executable, "-c", code, "stereo", FAST, *common)
     assert contents(tmp_path / "run" / "planes_0") == contents(whole / "planes_0")
 
 
