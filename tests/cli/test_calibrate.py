@@ -55,13 +55,14 @@ def row_errors(found: Rig, true: Rig) -> np.ndarray:
 
 
 def check(found: Rig, true: Rig) -> None:
+    assert found.left.fisheye == true.left.fisheye
     for one, other in ((found.left, true.left), (found.right, true.right)):
         np.testing.assert_allclose(np.diag(one.matrix), np.diag(other.matrix), rtol=0.003)
         np.testing.assert_allclose(one.matrix[:2, 2], other.matrix[:2, 2], atol=2.0)
     assert abs(found.baseline / true.baseline - 1) < 0.003
-    errors = row_errors(found, true)
-    assert np.sqrt(np.mean(errors**2)) < 0.05
-    assert np.quantile(errors, 0.95) < 0.1
+    if not true.left.fisheye:  # whose photos below do not fill the images
+        errors = row_errors(found, true)
+        assert np.sqrt(np.mean(errors**2)) < 0.05 and np.quantile(errors, 0.95) < 0.1
 
 
 def test_a_chessboard_gives_the_rig_without_the_pair_that_does_not_fit(chess: Path, tmp_path: Path, tool) -> None:
@@ -70,42 +71,33 @@ def test_a_chessboard_gives_the_rig_without_the_pair_that_does_not_fit(chess: Pa
     check(read_rig([target]), boards.rig())
     report = json.loads((tmp_path / "stereo_report.json").read_text())
     photos = {photo["name"]: photo for photo in report["photos"]}
-    assert photos["05"]["left_out"] == {"pair": "outlier"}
-    assert photos["05"]["pair_error"] > 5
+    assert photos["05"]["left_out"] == {"pair": "outlier"} and photos["05"]["pair_error"] > 5
     assert [name for name, photo in photos.items() if "outlier" in photo["left_out"].values()] == ["05"]
     assert "do not fit the others: 05" in err and "no: outlier" in out
-    assert report["rig"]["row_error"] < 0.1
+    assert report["rig"]["row_error"] < 0.1 and report["warnings"] == []
     assert all(camera["reprojection_error"] < 0.1 for camera in report["cameras"])
-    assert report["warnings"] == []
     assert read_image(tmp_path / "stereo_coverage.png").shape == (504, 1288, 3)
     tool.told(2, "calibrate", chess, *CHESS, "-o", target)
     # The rig rectifies photos of the same cameras.
-    (tmp_path / "pairs" / "a").mkdir(parents=True)
-    for side in ("left", "right"):
-        shutil.copy(chess / f"{side}07.png", tmp_path / "pairs" / "a" / f"{side}.png")
-    assert run("rectify", "-i", tmp_path / "pairs", "--calibration", target, "-o", tmp_path / "out", "-q") == 0
-    views = [read_image(tmp_path / "out" / "a" / f"{side}.png") for side in ("left", "right")]
+    sides = [word for side in ("left", "right") for word in (f"--{side}", chess / f"{side}07.png")]
+    assert run("rectify", *sides, "--name", "a", "--calibration", target, "-o", tmp_path / "out", "-q") == 0
+    views = (read_image(tmp_path / "out" / "a" / f"{side}.png") for side in ("left", "right"))
     left, right = (Chessboard(9, 6, SQUARE).find(view) for view in views)
     assert left is not None and right is not None
     assert np.sqrt(np.mean((left.pixels[:, 1] - right.pixels[:, 1]) ** 2)) < 0.1
 
 
-def test_a_charuco_board_may_be_seen_in_part(tmp_path: Path) -> None:
+def test_a_charuco_board_may_be_seen_in_part_and_fisheye_lenses(tmp_path: Path) -> None:
+    chess, part = boards.chessboard(9, 6), boards.charuco(11, 8, 0.018)
     places = list(boards.poses(12, (9 * SQUARE, 6 * SQUARE), seed=2))
-    shoot(tmp_path / "photos", boards.rig(), boards.charuco(11, 8, 0.018), places, "{side}/{k}.png")
-    board = ("--board", "charuco:11x8", "--square", "2.5cm", "--marker", "18mm")
-    assert run("calibrate", tmp_path / "photos", *board, "-o", tmp_path / "c.yml", "-q") == 0
-    check(read_rig([tmp_path / "c.yml"]), boards.rig())
-
-
-def test_fisheye_lenses(tmp_path: Path) -> None:
-    rig = boards.rig(fisheye=True)
-    shoot(tmp_path / "photos", rig, boards.chessboard(9, 6), list(boards.poses(10, EXTENT)))
-    assert run("calibrate", tmp_path / "photos", *CHESS, "--fisheye", "-o", tmp_path / "c.yml", "-q") == 0
-    found = read_rig([tmp_path / "c.yml"])
-    assert found.left.fisheye
-    np.testing.assert_allclose(np.diag(found.left.matrix), np.diag(rig.left.matrix), rtol=0.003)
-    assert abs(found.baseline / rig.baseline - 1) < 0.003
+    shoot(tmp_path / "part", boards.rig(), part, places, "{side}/{k}.png")
+    shoot(tmp_path / "fish", boards.rig(fisheye=True), chess, list(boards.poses(10, EXTENT)))
+    for photos, *words in (
+        ("part", "--board", "charuco:11x8", "--square", "2.5cm", "--marker", "18mm"),
+        ("fish", *CHESS, "--fisheye"),
+    ):
+        assert run("calibrate", tmp_path / photos, *words, "-o", tmp_path / f"{photos}.yml", "-q") == 0
+        check(read_rig([tmp_path / f"{photos}.yml"]), boards.rig(fisheye=photos == "fish"))
 
 
 @pytest.mark.parametrize("kind", ["parallel", "copies", "nearly copies"])
@@ -155,11 +147,6 @@ def few(chess: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(chess, tmp_path / "photos", ignore=shutil.ignore_patterns("*[056789].png", "*1?.png")))
 
 
-def test_a_wrong_number_of_corners_is_said(few: Path, tmp_path: Path, tool) -> None:
-    tool.told(2, "calibrate", tmp_path / "photos", "--board", "10x7", "--square", "25mm", "-o", tmp_path / "c.yml")
-    assert [each.name for each in tmp_path.iterdir()] == ["photos"]
-
-
 def test_damaged_photos_are_left_out_and_said(few: Path, tmp_path: Path, tool) -> None:
     for name in ("left08.png", "right08.png"):
         (few / name).write_bytes((few / name.replace("08", "03")).read_bytes()[:5000])
@@ -170,24 +157,40 @@ def test_damaged_photos_are_left_out_and_said(few: Path, tmp_path: Path, tool) -
     assert "left cannot be read" in out and "60 x 50 pixels, not 640 x 480" in out
 
 
-@pytest.mark.parametrize(
-    "names",
-    [
-        ("left/01.png", "left/02.png", "right/01.png", "right/02.png"),
-        ("left01.png", "left02.png", "right01.png", "right02.png"),
-        ("cam0/01.png", "cam0/02.png", "cam1/01.png", "cam1/02.png"),
-        ("01/left.png", "02/left.png", "01/right.png", "02/right.png"),
-    ],
-)
-def test_pairs_are_found_by_name(tmp_path: Path, names: tuple[str, ...]) -> None:
-    for name in names:
-        (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
-        (tmp_path / name).touch()
+def test_pairs_of_no_rig_are_refused(few: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tool) -> None:
+    line, whole = ("calibrate", few, "-o", tmp_path / "c.yml", *CHESS[2:], "--board"), RectifiedRig.points
+    tool.told(2, *line, "10x7")
+    with monkeypatch.context() as patch:
+        patch.setattr(RectifiedRig, "points", lambda *a: (whole(*a)[0], whole(*a)[1] + 2))
+        assert "rows are 2" in tool.err(2, *line, "9x6")
+    files = sorted(few.glob("right*"))
+    images = [read_image(file) for file in files]
+    for file, image in zip(files, (*images[1:], images[0]), strict=True):
+        write_png(file, image)
+    err = tool.err(2, *line, "9x6")
+    assert "the pairs do not fit" in err and err.count("\n") == 1
+    for file, image in zip(files, images, strict=True):  # images of two sizes
+        write_png(file, np.pad(image, ((0, 20), (0, 0)), constant_values=120))
+    assert "bring" in tool.err(2, *line, "9x6")
+    assert [each.name for each in tmp_path.iterdir()] == ["photos"]
+
+
+@pytest.mark.parametrize("names", ["left/01 right/01", "left01 right01", "cam0/01 cam1/01", "01/left 01/right"])
+def test_pairs_are_found_by_name(tmp_path: Path, names: str) -> None:
+    pairs = [[tmp_path / f"{name}.png" for name in names.replace("01", number).split()] for number in ("01", "02")]
+    for file in (file for pair in pairs for file in pair):
+        file.parent.mkdir(exist_ok=True, parents=True)
+        file.touch()
     photos, unnamed = find_photos([tmp_path])
     assert [each.name for each in photos] == ["01", "02"] and unnamed == []
-    assert [(each.left, each.right) for each in photos] == [
-        (tmp_path / names[k], tmp_path / names[k + 2]) for k in (0, 1)
-    ]  # fmt: skip
+    assert [[each.left, each.right] for each in photos] == pairs
+
+
+def test_numbers_of_photos_are_no_cameras(tmp_path: Path) -> None:
+    for number in range(6):
+        write_png(tmp_path / f"img{number}.png", np.zeros((4, 4), np.uint8))
+    photos, unnamed = find_photos([tmp_path])
+    assert len(photos) == 6 and not unnamed and all(each.right is None for each in photos)
 
 
 def test_folders_of_two_cameras_may_have_the_camera_in_their_names(tmp_path: Path) -> None:
@@ -209,47 +212,16 @@ def test_both_views_of_a_board_number_its_corners_alike(columns: int, rows: int,
     left, right = map(board.find, boards.pair(rig, boards.chessboard(columns, rows), turn, shift))
     assert left is not None and right is not None
     for flipped in (right, Corners(right.ids, right.pixels[::-1])) if (columns + rows) % 2 == 0 else (right,):
-        alike = board.alike(left, flipped)
-        assert np.ptp(left.pixels[:, 0] - alike.pixels[:, 0]) < 40
-        assert np.ptp(left.pixels[:, 1] - alike.pixels[:, 1]) < 40
+        assert (np.ptp(left.pixels - board.alike(left, flipped).pixels, axis=0) < 40).all()
 
 
-def test_numbers_of_photos_are_no_cameras(tmp_path: Path) -> None:
-    for number in range(6):
-        write_png(tmp_path / f"img{number}.png", np.zeros((4, 4), np.uint8))
-    photos, unnamed = find_photos([tmp_path])
-    assert len(photos) == 6 and not unnamed and all(each.right is None for each in photos)
-
-
-def test_pairs_of_no_rig_are_refused(few: Path, tmp_path: Path, tool) -> None:
-    files = sorted(few.glob("right*"))
-    images = [read_image(file) for file in files]
-    for file, image in zip(files, (*images[1:], images[0]), strict=True):
-        write_png(file, image)
-    err = tool.err(2, "calibrate", few, *CHESS, "-o", tmp_path / "c.yml")
-    assert "the pairs do not fit" in err and err.count("\n") == 1
-    assert not list(tmp_path.glob("c*"))
-
-
-def test_a_rig_whose_rows_do_not_meet_is_refused(
-    few: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    points = RectifiedRig.points
-    monkeypatch.setattr(RectifiedRig, "points", lambda *a: (points(*a)[0], points(*a)[1] + 2))
-    assert run("calibrate", few, *CHESS, "-o", tmp_path / "c.yml") == 2
-    assert "rows are 2" in capsys.readouterr().err and not (tmp_path / "c.yml").exists()
-
-
-@pytest.mark.parametrize(
-    ("n_pairs", "n_places", "noise", "longer", "is_refused"),
-    [
-        (6, 6, 0.01, 1.3, False),
-        (3, 3, 0.01, 1.0, False),
-        (2, 2, 0.01, 1.0, True),
-        (6, 6, 0.2, 1.3, True),  # a rig that fits worse than its cameras has to resemble them
-        (6, 1, 0.0, 1.0, True),  # copies, though the photos of each camera alone determine it
-    ],
-)
+@pytest.mark.parametrize(("n_pairs", "n_places", "noise", "longer", "is_refused"), [
+    (6, 6, 0.01, 1.3, False),
+    (3, 3, 0.01, 1.0, False),
+    (2, 2, 0.01, 1.0, True),
+    (6, 6, 0.2, 1.3, True),  # a rig that fits worse than its cameras has to resemble them
+    (6, 1, 0.0, 1.0, True),  # copies, though the photos of each camera alone determine it
+])  # fmt: skip
 def test_pairs_and_cameras_that_determine_a_rig(
     n_pairs: int, n_places: int, noise: float, longer: float, is_refused: bool
 ) -> None:
@@ -267,10 +239,3 @@ def test_pairs_and_cameras_that_determine_a_rig(
         refused(InputError, fit_rig, board, pairs, alone)
     else:
         assert fit_rig(board, pairs, alone).rig.baseline == pytest.approx(0.12, rel=0.01)
-
-
-def test_cameras_of_two_sizes_are_refused(few: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for file in few.glob("right*"):
-        write_png(file, np.pad(read_image(file), ((0, 20), (0, 0)), constant_values=120))
-    assert run("calibrate", few, *CHESS, "-o", tmp_path / "c.yml") == 2
-    assert "bring" in capsys.readouterr().err and not (tmp_path / "c.yml").exists()
