@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from depthcli.cli import main
@@ -75,6 +76,15 @@ def ended(code: int | None, *words: str | Path, **options: Any) -> subprocess.Co
     done = subprocess.run([*map(str, words)], capture_output=True, text=True, check=False, **options)
     assert code in (done.returncode, None), done.stdout[-3000:] + done.stderr[-3000:]
     return done
+
+
+def vertices(cloud: Path) -> np.ndarray:
+    """Return the points of a PLY file, ``["xyz"]`` and ``["rgb"]``, as its header describes them."""
+    head, _, data = cloud.read_bytes().partition(b"end_header\n")
+    assert b"format binary_little_endian" in head
+    table = np.frombuffer(data, [("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    assert f"element vertex {len(table)}\n".encode() in head
+    return table
 
 
 def start(*arguments: str | Path) -> subprocess.Popen[str]:

@@ -14,7 +14,7 @@ from depthcli.io.formats.calibrations import Reading, read_geometry, write_geome
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_pfm, read_status, write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
-from tests.command_line import rows, run
+from tests.command_line import rows, run, vertices
 from tests.golden import refused
 
 V3 = """cam0=[713.189 0 56.021; 0 713.189 38.263; 0 0 1]
@@ -48,15 +48,6 @@ def matched(two_scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple
     extra = ("--set", "confidence=[apkr, msm]")
     assert run("stereo", "fast", "-i", place / "scenes", "-o", place / "run", *extra, "-q") == 0
     return place / "scenes", place / "run"
-
-
-def vertices(path: Path) -> np.ndarray:
-    """(N, 3) positions and colors of a cloud, as its header describes them."""
-    head, _, data = path.read_bytes().partition(b"end_header\n")
-    assert b"format binary_little_endian" in head
-    table = np.frombuffer(data, [("xyz", "<f4", 3), ("rgb", "u1", 3)])
-    assert f"element vertex {len(table)}\n".encode() in head
-    return table
 
 
 def test_depth_is_that_of_the_formula_and_of_opencv(matched: tuple[Path, Path], tmp_path: Path):

@@ -24,48 +24,42 @@ from tests.methods.stereo._networks import block_matcher, has_onnx, local_featur
 needs_onnx = pytest.mark.skipif(not has_onnx(), reason="onnxruntime or onnx is not installed")
 
 
+def write_pair(folder: Path, pair: StereoPair) -> None:
+    write_png(folder / "left.png", pair.left)
+    write_png(folder / "right.png", pair.right)
+
+
 @pytest.fixture
 def scenes(tmp_path: Path) -> Path:
     for name, shift in (("a", 5), ("b", 7)):
-        folder, pair = tmp_path / "in" / name, shifted_pair(40, 90, shift)
-        write_png(folder / "left.png", pair.left)
-        write_png(folder / "right.png", pair.right)
+        write_pair(tmp_path / "in" / name, shifted_pair(40, 90, shift))
     return tmp_path / "in"
 
 
 def config(tmp_path: Path, **fields: object) -> Path:
-    path = tmp_path / "net.yaml"
-    path.write_text(yaml.safe_dump({"pipeline": "onnx", "model": str(tmp_path / "net.onnx"), **fields}), "utf-8")
-    return path
+    fields = {"pipeline": "onnx", "model": str(tmp_path / "net.onnx"), "max_disparity": 12, **fields}
+    (tmp_path / "net.yaml").write_text(yaml.safe_dump(fields), "utf-8")
+    return tmp_path / "net.yaml"
 
 
 @needs_onnx
-def test_a_batch_and_what_makes_it_run_again(scenes: Path, tmp_path: Path):
+def test_a_batch_in_workers_and_python_and_what_makes_it_run_again(scenes: Path, tmp_path: Path):
     block_matcher(tmp_path / "net.onnx")
-    command = ("stereo", config(tmp_path, max_disparity=12), "-i", scenes, "-o", tmp_path / "run", "-q")
-    assert run(*command) == 0
+    command, made = ("stereo", config(tmp_path), "-i", scenes, "-o", tmp_path / "run", "-q"), tmp_path / "run"
+    assert run(*command, "--jobs", "2") == 0
     for name, shift in (("a", 5), ("b", 7)):
-        values = read_pfm(tmp_path / "run" / name / "disp_left.pfm")
-        assert np.mean(values[:, 12:] == shift) > 0.98
-        assert (tmp_path / "run" / name / "confidence_lrc.pfm").is_file()
-    record = tmp_path / "run" / "a" / "record.json"
+        assert np.mean(read_pfm(made / name / "disp_left.pfm")[:, 12:] == shift) > 0.98
+        assert (made / name / "confidence_lrc.pfm").is_file()
+    pair = shifted_pair(40, 90, 7)
+    found = depthcli.stereo(pair.left, pair.right, preset=command[1])
+    np.testing.assert_array_equal(found.values, read_pfm(made / "b" / "disp_left.pfm"))
+    record = made / "a" / "record.json"
     before = record.stat().st_mtime_ns
     assert run(*command) == 0
-    assert record.stat().st_mtime_ns == before
-    assert "model" in json.loads(record.read_text())["inputs"]
+    assert record.stat().st_mtime_ns == before and "model" in json.loads(record.read_text())["inputs"]
     block_matcher(tmp_path / "net.onnx", disparities=20)  # another network in the same file is another input
     assert run(*command) == 0
     assert record.stat().st_mtime_ns != before
-
-
-@needs_onnx
-def test_workers_and_python_give_the_same_bytes(scenes: Path, tmp_path: Path):
-    block_matcher(tmp_path / "net.onnx")
-    file = config(tmp_path, max_disparity=12)
-    assert run("stereo", file, "-i", scenes, "-o", tmp_path / "run", "-q", "--jobs", "2") == 0
-    pair = shifted_pair(40, 90, 7)
-    found = depthcli.stereo(pair.left, pair.right, preset=file)
-    np.testing.assert_array_equal(found.values, read_pfm(tmp_path / "run" / "b" / "disp_left.pfm"))
 
 
 @needs_onnx
@@ -86,11 +80,9 @@ def _refused(file: Path, scenes: Path, output: Path, tool: Tool, *options: str) 
 @needs_onnx
 def test_networks_that_cannot_be_used_are_refused_before_the_batch(scenes: Path, tmp_path: Path, tool):
     block_matcher(tmp_path / "net.onnx", factor=-1)
-    file, output = config(tmp_path, max_disparity=12), tmp_path / "run"
-    _refused(file, scenes, output, tool)
-    _refused(file, scenes, output, tool, "--device", "opencl")
-    _refused(file, scenes, output, tool, "--device", "cuda")
-    _refused(file, scenes, output, tool, "--set", "normalization=0..1")
+    file, output = config(tmp_path), tmp_path / "run"
+    for options in ((), ("--device", "opencl"), ("--device", "cuda"), ("--set", "normalization=0..1")):
+        _refused(file, scenes, output, tool, *options)
     (tmp_path / "net.onnx").write_bytes(b"no network")
     assert "not a network that onnxruntime can run" in tool.err(2, "stereo", file, "-i", scenes, "-o", output)
     (tmp_path / "net.onnx").unlink()
@@ -100,71 +92,62 @@ def test_networks_that_cannot_be_used_are_refused_before_the_batch(scenes: Path,
 def test_what_to_install_is_said_in_one_line(scenes: Path, tmp_path: Path, tool, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     (tmp_path / "net.onnx").write_bytes(b"network")
-    file = config(tmp_path, max_disparity=12)
-    _refused(file, scenes, tmp_path / "run", tool)
+    _refused(config(tmp_path), scenes, tmp_path / "run", tool)
     left = shifted_pair(20, 40, 2).left
-    refused(ConfigError, depthcli.stereo, left, left, preset=file)
+    refused(ConfigError, depthcli.stereo, left, left, preset=config(tmp_path))
 
 
 @needs_onnx
 def test_a_scene_at_which_the_network_fails_is_a_failed_row(scenes: Path, tmp_path: Path, tool):
     block_matcher(tmp_path / "net.onnx", multiple=40)  # scenes have 40 rows, one here 41; the self-check is left out
-    pair = shifted_pair(41, 90, 5)
-    for name, image in (("left.png", pair.left), ("right.png", pair.right)):
-        write_png(scenes / "b" / name, image)
-    file = config(tmp_path, max_disparity=12, multiple=1, self_check=False)
-    assert "the network fails for left (1, 3, 41, 90)" in tool.err(
-        3, "stereo", file, "-i", scenes, "-o", tmp_path / "run"
-    )
+    write_pair(scenes / "b", shifted_pair(41, 90, 5))
+    file = config(tmp_path, multiple=1, self_check=False)
+    err = tool.err(3, "stereo", file, "-i", scenes, "-o", tmp_path / "run")
+    assert "the network fails for left (1, 3, 41, 90)" in err
     assert (tmp_path / "run" / "a" / "disp_left.pfm").is_file()
 
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    rng = np.random.default_rng(0)
-    wide = np.kron(rng.integers(0, 256, (20, 40)), np.ones((2, 2))).astype(np.uint8)
-    folder = tmp_path / "data" / "shifted"
-    left, right = np.ascontiguousarray(wide[:, :70]), np.ascontiguousarray(wide[:, 5:75])
-    write_png(folder / "left.png", left)
-    write_png(folder / "right.png", right)
-    np.save(folder / "learned.npy", Census()(StereoPair(left, right), 12).costs.astype(np.float32))
+    wide = np.kron(np.random.default_rng(0).integers(0, 256, (20, 40)), np.ones((2, 2))).astype(np.uint8)
+    folder, pair = tmp_path / "data" / "shifted", StereoPair(wide[:, :70].copy(), wide[:, 5:75].copy())
+    write_pair(folder, pair)
+    np.save(folder / "learned.npy", Census()(pair, 12).costs.astype(np.float32))
     return folder
 
 
 def fuse_config(tmp_path: Path, **fields: object) -> Path:
-    path = tmp_path / "fuse.yaml"
-    path.write_text(yaml.safe_dump({"measures": ["census", {"volume": "learned.npy"}], **fields}), "utf-8")
-    return path
+    fields = {"measures": ["census", {"volume": "learned.npy"}], "max_disparity": 11, **fields}
+    (tmp_path / "fuse.yaml").write_text(yaml.safe_dump(fields), "utf-8")
+    return tmp_path / "fuse.yaml"
 
 
 def test_a_volume_from_the_scene_folder_and_confidence_maps(scene: Path, tmp_path: Path):
-    file = fuse_config(tmp_path, max_disparity=11, confidence=["pkr", "consensus"])
-    assert run("fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q") == 0
-    made = tmp_path / "run" / "shifted"
+    made, command = tmp_path / "run" / "shifted", ("-i", scene.parent, "-o", tmp_path / "run", "-q")
+    file = fuse_config(tmp_path, confidence=["pkr", "consensus"])
+    assert run("fuse", file, *command) == 0
     assert np.mean(read_pfm(made / "disp_left.pfm")[:, 12:] == 5) > 0.98
     share = read_pfm(made / "confidence_consensus.pfm")
-    assert 0 <= np.nanmin(share) <= np.nanmax(share) <= 1
-    assert (made / "confidence_pkr.pfm").is_file()
+    assert 0 <= np.nanmin(share) <= np.nanmax(share) <= 1 and (made / "confidence_pkr.pfm").is_file()
     before = (made / "disp_left.pfm").stat().st_mtime_ns
-    # Another volume is another input.
-    np.save(scene / "learned.npy", np.load(scene / "learned.npy")[:, :, ::-1])
-    assert run("fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q") == 0
+    np.save(scene / "learned.npy", np.load(scene / "learned.npy")[:, :, ::-1])  # another volume is another input
+    assert run("fuse", file, *command) == 0
     assert (made / "disp_left.pfm").stat().st_mtime_ns != before
 
 
 def test_edited_weights_are_another_input(scene: Path, tmp_path: Path, tool):
-    network = tmp_path / "net.json"
+    network, record = tmp_path / "net.json", tmp_path / "run" / "shifted" / "record.json"
     shutil.copyfile(network_path("accurate"), network)
     command = ("fuse", "accurate", "-i", scene.parent, "-o", tmp_path / "run", "-q", "--set", "max_disparity=11")
-    weights = ("--set", f"maps.choice.weights={network}")
-    assert run(*command, *weights) == 0
-    record = tmp_path / "run" / "shifted" / "record.json"
-    before = record.stat().st_mtime_ns
-    assert run(*command, *weights) == 0
-    assert record.stat().st_mtime_ns == before
+
+    def stamp() -> int:
+        assert run(*command, "--set", f"maps.choice.weights={network}") == 0
+        return record.stat().st_mtime_ns
+
+    before = stamp()
+    assert stamp() == before
     network.write_text(network.read_text().replace('"mean":[', '"mean":[ '))
-    assert run(*command, *weights) == 0
-    assert record.stat().st_mtime_ns != before
+    assert stamp() != before
     network.write_text("{}")
     for name in (network, "x"):
         assert tool.told(2, *command, "--set", f"maps.choice.weights={name}").count("\n") == 1
@@ -172,22 +155,18 @@ def test_edited_weights_are_another_input(scene: Path, tmp_path: Path, tool):
 
 def test_the_name_of_a_volume_may_hold_the_scene(scene: Path, tmp_path: Path):
     (scene / "learned.npy").rename(scene / "shifted_costs.npy")
-    file = fuse_config(tmp_path, measures=[{"volume": "{scene}_costs.npy"}], max_disparity=11)
+    file = fuse_config(tmp_path, measures=[{"volume": "{scene}_costs.npy"}])
     assert run("fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q") == 0
     assert np.mean(read_pfm(tmp_path / "run" / "shifted" / "disp_left.pfm")[:, 12:] == 5) > 0.98
 
 
 def test_a_scene_whose_volume_is_missing_or_damaged_fails_alone(scene: Path, tmp_path: Path, tool):
-    for name, data in (("missing", None), ("damaged", b"\x93NUMPY no"), ("flat", np.zeros((40, 70)))):
-        other = scene.parent / name
-        other.mkdir()
-        for file in ("left.png", "right.png"):
-            (other / file).write_bytes((scene / file).read_bytes())
-        if isinstance(data, bytes):
-            (other / "learned.npy").write_bytes(data)
-        elif data is not None:
-            np.save(other / "learned.npy", data)
-    file = fuse_config(tmp_path, max_disparity=11)
-    err = tool.err(3, "fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q")
+    missing, damaged, flat = (
+        Path(shutil.copytree(scene, scene.parent / name)) for name in ("missing", "damaged", "flat")
+    )
+    (missing / "learned.npy").unlink()
+    (damaged / "learned.npy").write_bytes(b"\x93NUMPY no")
+    np.save(flat / "learned.npy", np.zeros((40, 70)))
+    err = tool.err(3, "fuse", fuse_config(tmp_path), "-i", scene.parent, "-o", tmp_path / "run", "-q")
     assert all(word in err for word in ("no such file", "damaged/learned.npy", "(H, W, D)"))
     assert (tmp_path / "run" / "shifted" / "disp_left.pfm").is_file()

@@ -9,18 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.cli import main
 from depthcli.io.formats.images import write_png
 from tests import damage
-from tests.command_line import contents, rows, statuses
-from tests.golden import told
+from tests.command_line import contents, rows, run, statuses
 
 PRESET = "opencv-bm"
 Damage = Callable[[np.random.Generator, Path], None]
 
 
 def flip(rng: np.random.Generator, scene: Path) -> None:
-    """Some bytes of one image."""
     file = scene / rng.choice(["left.png", "right.png"])
     file.write_bytes(damage.flipped(file.read_bytes(), rng))
 
@@ -57,9 +54,9 @@ def wrong_size(rng: np.random.Generator, scene: Path) -> None:
 
 def tiny_pair(rng: np.random.Generator, scene: Path) -> None:
     """A pair that agrees, but is smaller than any window."""
-    shape = rng.integers(1, 7, 2)
-    for name in ("left.png", "right.png"):
-        write_png(scene / name, np.full(shape, 77, np.uint8))
+    image = np.full(rng.integers(1, 7, 2), 77, np.uint8)
+    write_png(scene / "left.png", image)
+    write_png(scene / "right.png", image)
 
 
 def bad_meta(rng: np.random.Generator, scene: Path) -> None:
@@ -93,16 +90,14 @@ TRUTHS: list[Damage] = [bad_truth, bad_truth, bad_mask]
 
 def broken_folder(made: Path, folder: Path, kinds: list[Damage], seed: int, count: int) -> list[str]:
     """A folder of ``count`` damaged scenes between two good ones; names of the damaged."""
-    rng = np.random.default_rng(seed)
-    names = []
+    rng, names = np.random.default_rng(seed), []
     for number in range(count):
         spoil = kinds[number % len(kinds)]
-        name = f"m{number:02d}_{spoil.__name__}"
-        shutil.copytree(made / "planes_0", folder / name)
-        spoil(rng, folder / name)
-        names.append(name)
-    shutil.copytree(made / "planes_1", folder / "a_good")
-    shutil.copytree(made / "planes_1", folder / "z_good")
+        names.append(f"m{number:02d}_{spoil.__name__}")
+        shutil.copytree(made / "planes_0", folder / names[-1])
+        spoil(rng, folder / names[-1])
+    for good in ("a_good", "z_good"):
+        shutil.copytree(made / "planes_1", folder / good)
     return names
 
 
@@ -110,74 +105,65 @@ def broken_folder(made: Path, folder: Path, kinds: list[Damage], seed: int, coun
 def reference(made_scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """The files of an undisturbed run on the good scene."""
     out = tmp_path_factory.mktemp("reference")
-    assert main(["stereo", PRESET, "-i", str(made_scenes), "--scenes", "planes_1", "-o", str(out), "-q"]) == 0
+    assert run("stereo", PRESET, "-i", made_scenes, "--scenes", "planes_1", "-o", out, "-q") == 0
     return contents(out / "planes_1")
 
 
-def check_run(output: Path, damaged: list[str], reference: dict[str, bytes], code: int, err: str) -> None:
+def check_run(output: Path, damaged: list[str], reference: dict[str, bytes], err: str) -> int:
+    """Return the exit code that the run has to have."""
     found = rows(output)
     assert set(found) == {*damaged, "a_good", "z_good"}
-    failed = [name for name, row in found.items() if row["status"] == "failed"]
-    assert code == (3 if failed else 0)
-    for name in failed:
-        error = found[name]["error"]
+    failed = {name: row["error"] for name, row in found.items() if row["status"] == "failed"}
+    for name, error in failed.items():
         assert error and "bug" not in error and "\n" not in error, (name, error)
         assert [path.name for path in (output / name).iterdir()] == ["record.json"]
     assert "Traceback" not in err
-    for good in ("a_good", "z_good"):
-        assert contents(output / good) == reference
+    assert contents(output / "a_good") == contents(output / "z_good") == reference
+    return 3 if failed else 0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_damaged_images(made_scenes, tmp_path, reference, capfd, seed: int):
     damaged = broken_folder(made_scenes, tmp_path / "in", IMAGES, seed, 24)
-    code = main(["stereo", PRESET, "-i", str(tmp_path / "in"), "-o", str(tmp_path / "out")])
-    assert code == 3
-    check_run(tmp_path / "out", damaged, reference, code, capfd.readouterr().err)
+    assert run("stereo", PRESET, "-i", tmp_path / "in", "-o", tmp_path / "out") == 3
+    assert check_run(tmp_path / "out", damaged, reference, capfd.readouterr().err) == 3
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_damaged_truth(made_scenes, tmp_path, reference, capfd, seed: int):
-    damaged = broken_folder(made_scenes, tmp_path / "in", TRUTHS, seed, 15)
-    folders = ["-i", str(tmp_path / "in"), "-o", str(tmp_path / "out")]
-    assert main(["stereo", PRESET, *folders]) == 0  # the images are whole, the truth does not matter
-    check_run(tmp_path / "out", damaged, reference, 0, capfd.readouterr().err)
-    evaluate = ["evaluate", str(tmp_path / "out"), "--truth", str(tmp_path / "in"), "-o", str(tmp_path / "e")]
-    code = main(evaluate)
-    out, err = capfd.readouterr()
-    failed = json.loads((tmp_path / "e" / "scores.json").read_text())["failed"]
-    assert code == (3 if failed else 0)
-    assert "Traceback" not in err
-    assert "a_good" in out or "a_good" in (tmp_path / "e" / "scores.csv").read_text()
+    scenes, out, scores = (tmp_path / name for name in ("in", "out", "scores"))
+    damaged = broken_folder(made_scenes, scenes, TRUTHS, seed, 15)
+    assert run("stereo", PRESET, "-i", scenes, "-o", out) == 0  # the images are whole, the truth does not matter
+    assert check_run(out, damaged, reference, capfd.readouterr().err) == 0
+    code = run("evaluate", out, "--truth", scenes, "-o", scores)
+    assert code == (3 if json.loads((scores / "scores.json").read_text())["failed"] else 0)
+    assert "Traceback" not in capfd.readouterr().err and "a_good" in (scores / "scores.csv").read_text()
 
 
-def test_loops_of_links(two_scenes, tmp_path, capsys, tool):
-    shutil.copytree(two_scenes, tmp_path / "in")
-    victim = tmp_path / "in" / "planes_0" / "left.png"
+def test_loops_of_links(two_scenes, tmp_path, tool):
+    scenes, out, loop = shutil.copytree(two_scenes, tmp_path / "in"), tmp_path / "r", tmp_path / "loop"
+    victim = scenes / "planes_0" / "left.png"
     victim.unlink()
-    victim.symlink_to(victim.name)
-    for name in ("loop", "loop.yaml"):
-        (tmp_path / name).symlink_to(name)
-    tool.told(3, "stereo", PRESET, "-i", tmp_path / "in", "-o", tmp_path / "r", "-q")
-    assert statuses(tmp_path / "r") == {"foreground_0": "done", "planes_0": "failed"}
-    loop, scenes = str(tmp_path / "loop"), str(two_scenes)
+    for link in (victim, loop, tmp_path / "loop.yaml"):
+        link.symlink_to(link.name)
+    tool.told(3, "stereo", PRESET, "-i", scenes, "-o", out, "-q")
+    assert statuses(out) == {"foreground_0": "done", "planes_0": "failed"}
     for arguments in (
-        ["stereo", PRESET, "-i", loop, "-o", str(tmp_path / "x")],
-        ["stereo", PRESET, "-i", scenes, "-o", loop],
-        ["stereo", f"{loop}.yaml", "-i", scenes, "-o", str(tmp_path / "x")],
-        ["evaluate", loop, "--truth", scenes],
-        ["evaluate", str(tmp_path / "r"), "--truth", loop],
+        ("stereo", PRESET, "-i", loop, "-o", tmp_path / "x"),
+        ("stereo", PRESET, "-i", two_scenes, "-o", loop),
+        ("stereo", tmp_path / "loop.yaml", "-i", two_scenes, "-o", tmp_path / "x"),
+        ("evaluate", loop, "--truth", two_scenes),
+        ("evaluate", out, "--truth", loop),
     ):
-        assert main(arguments) == 2, arguments
-        told(capsys.readouterr().err)
+        tool.told(2, *arguments)
 
 
 @pytest.mark.parametrize("name", ["run.yaml", "report.json", "planes_0/record.json"])
 def test_a_pipe_among_the_files_of_a_run_is_not_waited_for(made_scenes, tmp_path, tool, name: str):
-    command = ["stereo", PRESET, "-i", str(made_scenes), "-o", str(tmp_path / "r"), "-q", "--scenes", "planes_0"]
-    assert main(command) == 0
-    (tmp_path / "r" / name).unlink()
-    os.mkfifo(tmp_path / "r" / name)
+    command = ("stereo", PRESET, "-i", made_scenes, "-o", tmp_path, "-q", "--scenes", "planes_0")
+    assert run(*command) == 0
+    (tmp_path / name).unlink()
+    os.mkfifo(tmp_path / name)
     assert ("run.yaml cannot be read" in tool.err(2 if name == "run.yaml" else 0, *command)) == (name == "run.yaml")
-    assert main([*command, "--overwrite"]) == 0
+    assert run(*command, "--overwrite") == 0

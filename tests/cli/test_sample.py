@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from skimage.data import stereo_motorcycle
 
-from depthcli.cli import main
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.volumes import read_volume
@@ -17,23 +16,18 @@ from depthcli.io.scenes.pairs import PAIRS
 from depthcli.simulate import samples
 from depthcli.simulate.deformed_volumes import make_deformed_pair
 from depthcli.simulate.stereo_scenes import Radiometry, make_scene
-from tests.command_line import contents
-from tests.golden import told
+from tests.command_line import contents, run
 from tests.scenes import load, true
 
 SMALL = ("--width", "64", "--height", "48", "--max-disparity", "10")
 
 
 def sample(output: Path, *options: str | Path) -> int:
-    return main(["sample", "-o", str(output), "-q", *SMALL, *map(str, options)])
+    return run("sample", "-o", output, "-q", *SMALL, *options)
 
 
 def scenes(folder: Path) -> dict[str, StereoScene]:
-    found = {}
-    for scene in discover_scenes(folder, PAIRS):
-        assert isinstance(scene, StereoScene)
-        found[scene.name] = scene
-    return found
+    return {scene.name: scene for scene in discover_scenes(folder, PAIRS) if isinstance(scene, StereoScene)}
 
 
 @pytest.mark.slow
@@ -46,21 +40,21 @@ def test_scenes_are_what_the_generator_made(tmp_path: Path):
     np.testing.assert_array_equal(pair.left, made.left)
     np.testing.assert_array_equal(pair.right, made.right)
     np.testing.assert_array_equal(truth.masks["disc"], made.disc)
-    assert stored.max_disparity == 10
-    assert stored.protocol == "middlebury_v2"
+    assert (stored.max_disparity, stored.protocol) == (10, "middlebury_v2")
     meta = json.loads((tmp_path / "planes_1" / "meta.json").read_text())
     assert set(meta) == {"protocol", "disp_scale", "max_disparity", "width", "height", "masks", "source", "notes"}
+    assert sample(tmp_path / "street", "-n", "2", "--kind", "street", "--kind", "planes") == 0  # where it is requested
+    assert sorted(scenes(tmp_path / "street")) == ["planes_0", "street_0"]
 
 
 def test_the_real_pair_is_written_with_its_source(tmp_path: Path):
-    assert main(["sample", "--real", "-o", str(tmp_path), "-q"]) == 0
+    assert run("sample", "--real", "-o", tmp_path, "-q") == 0
     stored = scenes(tmp_path)["Motorcycle"]
     left, _, disparity = stereo_motorcycle()
     np.testing.assert_array_equal(load(stored).left, left)
     np.testing.assert_array_equal(np.isnan(true(stored).disparity), ~np.isfinite(disparity))
-    assert stored.max_disparity == 70
     assert "GCPR 2014" in json.loads((tmp_path / "Motorcycle" / "meta.json").read_text())["citation"]
-    assert stored.calibration is not None
+    assert stored.max_disparity == 70 and stored.calibration is not None
     geometry = read_geometry(stored.calibration)
     assert (geometry.left.fx, geometry.left.cx, geometry.left.cy) == (994.978, 311.193, 254.877)
     assert (geometry.baseline, geometry.offset, geometry.size) == (0.193001, 31.086, (741, 500))
@@ -70,12 +64,6 @@ def test_a_build_of_scikit_image_without_the_pair_is_told(tmp_path: Path, monkey
     monkeypatch.setitem(samples._REAL_FILES, "left", "missing.png")
     error = tool.err(2, "sample", "--real", "-o", tmp_path / "out")
     assert "missing.png" in error and "--real" in error and error.count("\n") == 1
-
-
-@pytest.mark.slow
-def test_streets_are_made_where_they_are_requested(tmp_path: Path):
-    assert sample(tmp_path, "-n", "2", "--kind", "street", "--kind", "planes") == 0
-    assert sorted(scenes(tmp_path)) == ["planes_0", "street_0"]
 
 
 @pytest.mark.slow
@@ -90,19 +78,19 @@ def test_same_options_same_bytes_and_a_second_run_keeps_them(tmp_path: Path):
     assert read_image(tmp_path / "a" / "planes_0" / "left.png").ndim == 2
 
 
-def test_cross_modal_keeps_the_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert sample(tmp_path / "in", "-n", "4") == 0
-    (tmp_path / "in" / "curved_0" / "right.png").write_bytes(b"not a picture")
-    assert sample(tmp_path / "out", "--cross-modal", "--from", tmp_path / "in", "--speckles", "0.01") == 3
-    told(capsys.readouterr().err)
-    before, after = (scenes(tmp_path / folder)["planes_0"] for folder in ("in", "out"))
-    assert sorted(scenes(tmp_path / "out")) == ["foreground_0", "planes_0", "repetitive_0"]
+def test_cross_modal_keeps_the_truth(tmp_path: Path, tool):
+    given, made = tmp_path / "in", tmp_path / "out"
+    assert sample(given, "-n", "4") == 0
+    (given / "curved_0" / "right.png").write_bytes(b"not a picture")
+    line = ("sample", "--cross-modal", "-q", *SMALL)
+    tool.told(3, *line, "-o", made, "--from", given, "--speckles", "0.01")
+    before, after = (scenes(folder)["planes_0"] for folder in (given, made))
+    assert sorted(scenes(made)) == ["foreground_0", "planes_0", "repetitive_0"]
     np.testing.assert_array_equal(true(before).disparity, true(after).disparity)
     np.testing.assert_array_equal(true(before).masks["nonocc"], true(after).masks["nonocc"])
-    assert after.max_disparity == 10
-    assert load(after).right.ndim == 2
-    assert sample(tmp_path / "in", "--cross-modal", "--from", tmp_path / "in") == 2
-    assert sample(tmp_path / "x", "--cross-modal", "--from", tmp_path / "missing") == 2
+    assert after.max_disparity == 10 and load(after).right.ndim == 2
+    for folder, source in ((given, given), (tmp_path / "x", tmp_path / "missing")):
+        assert run(*line, "-o", folder, "--from", source) == 2
 
 
 def test_true_errors_of_volumes_are_in_mm(made_volumes: Path):

@@ -8,79 +8,72 @@ from pathlib import Path
 
 import pytest
 
-from depthcli.cli import main
 from depthcli.core.errors import ConfigError
 from depthcli.evaluation.sweeps import combinations, effects, folder_names, parse_axes, value_text
 from depthcli.run.folder import FolderLock
+from tests.command_line import run
 from tests.golden import refused
-
-
-def words(two_scenes: Path, output: Path, *more: str) -> list[str]:
-    return ["sweep", "fast", "-i", str(two_scenes), "-o", str(output), *more]
 
 
 @pytest.mark.slow
 def test_a_sweep_is_resumed_and_says_what_matters(two_scenes: Path, tmp_path: Path, tool):
-    over = ("--over", "optimization.p2=2,8", "--over", "cost.window=[5,5],[9,7]")
-    out, err = tool.both(0, *words(two_scenes, tmp_path, *over, "--html"))
+    command, window = ("sweep", "fast", "-i", two_scenes, "-o", tmp_path), ("--over", "cost.window=[5,5],[9,7]")
+    out, err = tool.both(0, *command, "--over", "optimization.p2=2,8", *window, "--html")
     assert err.rstrip().endswith(f": {tmp_path / 'evaluation' / 'report.html'}")
     assert "Sensitivity, the strongest first" in out
-    runs = sorted(path.name for path in (tmp_path / "runs").iterdir())
-    assert runs == ["own-values", "p2=2,window=5-5", "p2=2,window=9-7", "p2=8,window=5-5", "p2=8,window=9-7"]
-    runs.remove("own-values")
-    assert "own-values *" in out
-    assert "*: the config's own values" in out
-    assert "window: [9, 7]" in (tmp_path / "runs" / runs[1] / "run.yaml").read_text()
+    runs = {path.name for path in (tmp_path / "runs").iterdir()}
+    assert runs == {"own-values", "p2=2,window=5-5", "p2=2,window=9-7", "p2=8,window=5-5", "p2=8,window=9-7"}
+    assert "own-values *" in out and "*: the config's own values" in out
+    assert "window: [9, 7]" in (tmp_path / "runs" / "p2=2,window=9-7" / "run.yaml").read_text()
     assert (tmp_path / "evaluation" / "report.html").is_file()
     maps = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("disp_left.pfm")}
-    again = tool.out(0, *words(two_scenes, tmp_path, "--over", "optimization.p2=2,8,4", *over[2:], "--json"))
+    again = tool.out(0, *command, "--over", "optimization.p2=2,8,4", *window, "--json")
     assert not list(tmp_path.glob(".*"))
     assert len(json.loads(again)["results"][0]["runs"]) == 7
     assert {path: path.stat().st_mtime_ns for path in maps} == maps
 
 
-def test_wrong_values_are_told_before_anything_is_computed(two_scenes: Path, tmp_path: Path, tool):
-    tool.told(2, *words(two_scenes, tmp_path / "a", "--over", "optimization.p2=2,-8"))
-    assert not (tmp_path / "a").exists()
-
-
-def test_draws_and_dry_runs(two_scenes: Path, tmp_path: Path, tool):
-    over = ("--over", "optimization.p2=1:9:1", "--over", "optimization.p1=0.1:0.9:0.1", "--random", "3", "--seed", "2")
-    rows = json.loads(tool.out(0, *words(two_scenes, tmp_path / "a", *over, "--dry-run", "--json")))["runs"]
+def test_wrong_values_draws_and_dry_runs_compute_nothing(two_scenes: Path, tmp_path: Path, tool):
+    command = ("sweep", "fast", "-i", two_scenes, "-o", tmp_path / "a", "--over")
+    tool.told(2, *command, "optimization.p2=2,-8")
+    draws = ("optimization.p2=1:9:1", "--over", "optimization.p1=0.1:0.9:0.1", "--random", "3", "--seed", "2")
+    rows = json.loads(tool.out(0, *command, *draws, "--dry-run", "--json"))["runs"]
     assert [(row["scenes"], row["done"]) for row in rows] == [(2, 0)] * 4
-    assert rows[0]["run"] in tool.out(0, *words(two_scenes, tmp_path / "a", *over, "--dry-run"))
+    assert rows[0]["run"] in tool.out(0, *command, *draws, "--dry-run")
     assert not (tmp_path / "a").exists()
 
 
-def test_the_thesis_s_symbols_are_names_of_keys(two_scenes: Path, tmp_path: Path, capsys, tool):
-    command = ["sweep", "thesis/ch2-kp-dedc", "-i", str(two_scenes), "-o", str(tmp_path / "a"), "--dry-run", "--json"]
-    over = ["--over", "alpha=0.1,0.2", "--over", "sigma=150", "--set", "w=30"]
+def test_the_thesis_s_symbols_are_names_of_keys(two_scenes: Path, tmp_path: Path, tool):
+    command = ("sweep", "thesis/ch2-kp-dedc", "-i", two_scenes, "-o", tmp_path / "a", "--dry-run", "--json")
+    over = ("--over", "alpha=0.1,0.2", "--over", "sigma=150", "--set", "w=30")
     rows = json.loads(tool.out(0, *command, *over))["runs"]
     assert [row["run"] for row in rows][1:] == ["margin=0.1,color_scale=150", "margin=0.2,color_scale=150"]
     tool.told(2, *command, *over, "--over", "ranges.margin=0.3")
-    for name, keys in {"ch2-kp-dedc": "alpha lambda w sigma hs hr", "ch3-ad-census-cross": "tau L",
-                       "ch3-ad-aw": "gamma_c gamma_s"}.items():  # fmt: skip
-        command = ["stereo", f"thesis/{name}", "-i", str(two_scenes), "--dry-run"]
-        tool.both(0, *command, *(f"--set={key}=3" for key in keys.split() if key not in ("alpha",)))
-        assert main([*command, *(f"--set={key}=x" for key in keys.split())]) == 2
-        assert ("ranges.margin" if "ch2" in name else "aggregation.") in capsys.readouterr().err
+    for name, keys, said in (
+        ("ch2-kp-dedc", "lambda w sigma hs hr", "ranges.margin"), ("ch3-ad-census-cross", "tau L", "aggregation."),
+        ("ch3-ad-aw", "gamma_c gamma_s", "aggregation."),
+    ):  # fmt: skip
+        command = ("stereo", f"thesis/{name}", "-i", two_scenes, "--dry-run")
+        tool.both(0, *command, *(f"--set={key}=3" for key in keys.split()))
+        wrong = [*keys.split(), *(["alpha"] if "ch2" in name else [])]
+        assert said in tool.err(2, *command, *(f"--set={key}=x" for key in wrong))
 
 
 def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(two_scenes: Path, tmp_path: Path, tool):
-    output = tmp_path / "run"
-    command = ["stereo", "fast", "-i", str(two_scenes), "-o", str(output)]
+    output, alone = tmp_path / "run", ("stereo", "fast", "-i", two_scenes)
+    command = (*alone, "-o", output)
     out, plan = tool.both(0, *command, "--dry-run")
     assert out == "foreground_0\nplanes_0\n"
     assert "pipeline: local" in plan and "2 scenes: 2 to do" in plan and "MiB" in plan
     assert not output.exists()
-    assert tool.both(0, *command[:-2], "--dry-run") == (out, plan)
-    assert json.loads(tool.out(0, *command[:-2], "--dry-run", "--json"))["output"] is None
-    tool.told(2, *command[:-2])
-    assert main([*command, "--scenes", "foreground_0", "-q"]) == 0
+    assert tool.both(0, *alone, "--dry-run") == (out, plan)
+    assert json.loads(tool.out(0, *alone, "--dry-run", "--json"))["output"] is None
+    tool.told(2, *alone)
+    assert run(*command, "--scenes", "foreground_0", "-q") == 0
     document = json.loads(tool.out(0, *command, "--dry-run", "--json"))
     assert [row["status"] for row in document["scenes"]] == ["done, kept", "to do"]
     assert all(180 << 20 < row["memory"] < 300 << 20 for row in document["scenes"])  # of the whole process
-    tool.told(3, *command[:-1], tmp_path / "small", "--max-memory", "100MiB")
+    tool.told(3, *alone, "-o", tmp_path / "small", "--max-memory", "100MiB")
     err = tool.err(2, *command, "--set", "optimization.p2=3", "--dry-run")
     assert "another config; needs --overwrite" in err and "has a run of another config (it has" in err
     tool.both(0, *command, "--set", "optimization.p2=3", "--dry-run", "--overwrite")
@@ -88,53 +81,46 @@ def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(two_scenes: Path,
 
 
 def test_dry_runs_of_commands_without_a_config(two_scenes: Path, tmp_path: Path, tool):
-    output = tmp_path / "out"
-    tool.told(0, "sample", "-o", output, "--dry-run")
-    run = tmp_path / "run"
-    assert main(["stereo", "fast", "-i", str(two_scenes), "-o", str(run), "-q"]) == 0
-    plan = tool.err(0, "depth", run, "-o", output, "--dry-run")
+    output, made = ("-o", tmp_path / "out", "--dry-run"), tmp_path / "run"
+    tool.told(0, "sample", *output)
+    assert run("stereo", "fast", "-i", two_scenes, "-o", made, "-q") == 0
+    plan = tool.err(0, "depth", made, *output)
     assert "2 scenes: 2 cannot be used" in plan and "no calibration with the images" in plan
-    by_hand = ("--focal", "500", "--baseline", "0.1")
-    document = json.loads(tool.out(0, "depth", run, "-o", output, *by_hand, "--dry-run", "--json"))
+    document = json.loads(tool.out(0, "depth", made, *output, "--focal", "500", "--baseline", "0.1", "--json"))
     assert document["config"]["focal"] == 500
     assert [row["status"] for row in document["scenes"]] == ["to do"] * 2
-    absent = str(tmp_path / "absent.yml")
-    command = ["rectify", "-i", str(two_scenes), "-o", str(output), "--dry-run"]
-    tool.told(0, *command, "--calibration", absent)
-    tool.told(0, *command, "--uncalibrated")
-    assert not output.exists()
+    for how in (("--calibration", tmp_path / "absent.yml"), ("--uncalibrated",)):
+        tool.told(0, "rectify", "-i", two_scenes, *output, *how)
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
 def test_the_sweep_that_ends_last_compares_and_marks_own_values(two_scenes: Path, tmp_path: Path, tool):
-    command = ["sweep", "opencv-bm", "-i", str(two_scenes), "-o", str(tmp_path), "--set", "block=7"]
+    command = ("sweep", "opencv-bm", "-i", two_scenes, "-o", tmp_path, "--set", "block=7", "--over", "block=5,7")
     with FolderLock(tmp_path, print) as other:  # as of another process, which has not ended
         other.share()
-        assert tool.out(0, *command, "--over", "block=5,7") == ""
-        assert sorted(path.name for path in tmp_path.glob("[!.]*")) == ["runs"]
-    out = tool.out(0, *command, "--over", "block=5,7")
+        assert tool.out(0, *command) == ""
+        assert [path.name for path in tmp_path.glob("[!.]*")] == ["runs"]
+    out = tool.out(0, *command)
     assert "block=7 *" in out and "block=5 *" not in out
     with (tmp_path / "sweep.csv").open(newline="") as file:
         own = {row["run"]: row["own_values"] for row in csv.DictReader(file)}
     assert own == {"block=5": "False", "block=7": "True"}
 
 
-@pytest.mark.parametrize(
-    ("text", "values"),
-    [
-        ("a.b=2,4,8", ("2", "4", "8")),
-        ("a=20:40:5", ("20", "25", "30", "35", "40")),
-        ("a=0.1:0.3:0.1", ("0.1", "0.2", "0.3")),
-        ("a=3:1:-1", ("3", "2", "1")),
-        ("a=0:1:0.4", ("0", "0.4", "0.8")),
-        ("a=100:300:100", ("100", "200", "300")),
-        ("a=[9,7],[11,9]", ("[9,7]", "[11,9]")),
-        ("a={method: census, window: [9, 7]}, zncc", ("{method: census, window: [9, 7]}", "zncc")),
-        ("a=true", ("true",)),
-    ],
-)
-def test_axes(text: str, values: tuple[str, ...]):
-    assert parse_axes([text]) == {text.partition("=")[0]: list(values)}
+@pytest.mark.parametrize(("text", "values"), [
+    ("a.b=2,4,8", ["2", "4", "8"]),
+    ("a=20:40:5", ["20", "25", "30", "35", "40"]),
+    ("a=0.1:0.3:0.1", ["0.1", "0.2", "0.3"]),
+    ("a=3:1:-1", ["3", "2", "1"]),
+    ("a=0:1:0.4", ["0", "0.4", "0.8"]),
+    ("a=100:300:100", ["100", "200", "300"]),
+    ("a=[9,7],[11,9]", ["[9,7]", "[11,9]"]),
+    ("a={method: census, window: [9, 7]}, zncc", ["{method: census, window: [9, 7]}", "zncc"]),
+    ("a=true", ["true"]),
+])  # fmt: skip
+def test_axes(text: str, values: list[str]):
+    assert parse_axes([text]) == {text.partition("=")[0]: values}
 
 
 @pytest.mark.parametrize("text", ["a", "=1", "a=", "a=1,,2", "a=2,2", "a=1:5:0", "a=5:1:1", "a=0:1:1e-9", "b=1"])

@@ -8,61 +8,58 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.cli import main
 from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import read_image, write_png
+from tests.command_line import rows, run, vertices
 
 
-def test_a_mask_of_the_objects_alone(made_glass, tmp_path, capsys, tool):
-    frame = Path(shutil.copytree(made_glass / "glass_0", tmp_path / "frames" / "a"))
-    command = ["transparent", "sensor", "-i", str(frame.parent), "-o", str(tmp_path / "run")]
+def test_a_mask_of_the_objects_alone(made_glass, tmp_path, tool):
+    frame, made = Path(shutil.copytree(made_glass / "glass_0", tmp_path / "frames" / "a")), tmp_path / "run" / "a"
+    command = ("transparent", "sensor", "-i", frame.parent, "-o", made.parent, "--overwrite", "-q")
     (frame / "sparse.pfm").unlink()
-    tool.told(3, "transparent", "sparse", *command[2:])
-    assert main([*command, "--overwrite", "--ply", "--intrinsics", "100,100,64,48", "--json"]) == 0
-    row = json.loads(capsys.readouterr().out)["scenes"][0]
+    tool.told(3, "transparent", "sparse", *command[2:-2])
+    assert run(*command, "--ply", "--intrinsics", "100,100,64,48") == 0
+    row = rows(made.parent)["a"]
     assert "not of the objects" in str(row["warnings"]) and row["intrinsics"] == "of the camera"
     objects = read_image(frame / "mask_transparent.png") == 255
-    sensor, depth = read_pfm(frame / "depth.pfm"), read_pfm(tmp_path / "run/a/depth.pfm")
+    sensor, depth, bound = (read_pfm(file) for file in (frame / "depth.pfm", made / "depth.pfm", made / "bound.pfm"))
     kept = np.isfinite(sensor) & ~objects
     np.testing.assert_array_equal(depth[kept], sensor[kept])
-    assert np.isfinite(depth).all() and (tmp_path / "run/status.txt").is_file()
-    bound = read_pfm(tmp_path / "run/a/bound.pfm")
+    assert np.isfinite(depth).all() and (made.parent / "status.txt").is_file()
     assert 0.1 < np.median(bound[kept] * 24 / depth[kept] ** 2) < 0.5  # pixels; the noise is 0.1
     assert np.median(bound[objects]) > 5 * np.median(bound[kept])
     around = kept & (cv2.dilate(objects.astype(np.uint8), np.ones((61, 61), np.uint8)) > 0)
     assert sensor[around].min() * 0.9 < depth[objects].min() and depth[objects].max() < sensor[around].max() * 1.1
     assert row["replaced"] == pytest.approx(np.mean(objects & np.isfinite(sensor)), abs=1e-6)
-    points = (tmp_path / "run/a/points.ply").read_bytes().partition(b"end_header\n")[2]
-    first = np.frombuffer(points[:12], "<f4")
-    np.testing.assert_allclose(first, depth[0, 0] * np.array([-0.64, -0.48, 1]), rtol=1e-4)
+    cloud = vertices(made / "points.ply")["xyz"]
+    assert len(cloud) == kept.sum()
+    np.testing.assert_allclose(cloud[0], depth[0, 0] * np.array([-0.64, -0.48, 1]), rtol=1e-4)
     near = float(np.median(depth))
-    assert b"vertex %d\n" % kept.sum() in (tmp_path / "run/a/points.ply").read_bytes()[:200]
-    assert main([*command, "--overwrite", "--ply", "--near", str(near), "--mask", "all", "-q"]) == 0
-    assert b"vertex %d\n" % (depth >= near).sum() in (tmp_path / "run/a/points.ply").read_bytes()[:200]
+    assert run(*command, "--ply", "--near", near, "--mask", "all") == 0
+    assert len(vertices(made / "points.ply")) == (depth >= near).sum()
     # What lies inside the mask does not count.
     write_pfm(frame / "depth.pfm", np.where(objects, np.float32(0.1), sensor))
-    assert main([*command, "--overwrite", "-q"]) == 0
-    np.testing.assert_array_equal(read_pfm(tmp_path / "run/a/depth.pfm"), depth)
+    assert run(*command) == 0
+    np.testing.assert_array_equal(read_pfm(made / "depth.pfm"), depth)
     (frame / "mask_transparent.png").unlink()
-    tool.told(3, *command, "--overwrite", "-q")
+    tool.told(3, *command)
 
 
-def test_scores_say_that_sparse_depth_is_from_the_truth(made_glass, tmp_path, capsys, tool):
+def test_scores_say_that_sparse_depth_is_from_the_truth(made_glass, tmp_path, tool):
     frames = Path(shutil.copytree(made_glass, tmp_path / "in"))
-    run = ["transparent", "nearest", "-i", str(frames), "-o", str(tmp_path / "run"), "--evaluate", "--json"]
-    assert "from the truth" in json.dumps(json.loads(tool.out(0, *run))["evaluation"])
-    assert main([*run[:1], "kinect", *run[2:], "--overwrite"]) == 0  # its sparse depth is of stereo
-    assert "from the truth" not in capsys.readouterr().out
+    words = ("-i", frames, "-o", tmp_path / "run", "--evaluate", "--json")
+    assert "from the truth" in json.dumps(json.loads(tool.out(0, "transparent", "nearest", *words))["evaluation"])
+    kinect = ("transparent", "kinect", *words)
+    assert "from the truth" not in tool.out(0, *kinect, "--overwrite")  # its sparse depth is of stereo
     meta = frames / "glass_0" / "meta.json"
     meta.write_text(json.dumps(json.loads(meta.read_text()) | {"max_disparity": 9}))
-    assert main([*run[:1], "kinect", *run[2:], "--dry-run"]) == 0
-    planned = {row["scene"]: row["status"] for row in json.loads(capsys.readouterr().out)["scenes"]}
+    planned = {row["scene"]: row["status"] for row in json.loads(tool.out(0, *kinect, "--dry-run"))["scenes"]}
     assert planned == {"glass_0": "to do", "glass_1": "done, kept"}  # another range of stereo is another result
 
 
 def test_memory_is_respected(made_glass, tmp_path, tool):
-    command = ["transparent", "crf", "-i", str(made_glass), "-o", str(tmp_path / "run"), "--json"]
-    assert "needs about" in json.loads(tool.out(3, *command, "--max-memory", "20MiB"))["scenes"][0]["error"]
+    command = ("transparent", "crf", "-i", made_glass, "-o", tmp_path / "run", "--json", "--max-memory", "20MiB")
+    assert "needs about" in json.loads(tool.out(3, *command))["scenes"][0]["error"]
 
 
 def _broken(folder, made_glass):
@@ -92,16 +89,14 @@ def _broken(folder, made_glass):
 
 
 @pytest.mark.parametrize("preset", ["kinect", "nearest"])
-def test_each_scene_that_cannot_be_used_is_one_line_and_the_others_are_written(made_glass, tmp_path, capsys, preset):
-    folder, run = tmp_path / "in", tmp_path / "run"
-    said = _broken(folder, made_glass)[preset]
-    assert main(["transparent", preset, "-i", str(folder), "-o", str(run), "--json"]) == 3
-    rows = {row["scene"]: row for row in json.loads(capsys.readouterr().out)["scenes"]}
-    assert {name for name, row in rows.items() if row["status"] == "failed"} == set(said)
-    for name, words in said.items():
-        assert words in rows[name]["error"]
-        assert "\n" not in rows[name]["error"]
-    assert {name for name in rows if (run / name / "depth.pfm").is_file()} == set(rows) - set(said)
+def test_each_scene_that_cannot_be_used_is_one_line_and_the_others_are_written(made_glass, tmp_path, preset):
+    said, made = _broken(tmp_path / "in", made_glass)[preset], tmp_path / "run"
+    assert run("transparent", preset, "-i", tmp_path / "in", "-o", made) == 3
+    found = rows(made)
+    failed = {name: row["error"] for name, row in found.items() if row["status"] == "failed"}
+    assert set(failed) == set(said)
+    assert all(said[name] in error and "\n" not in error for name, error in failed.items())
+    assert {path.parent.name for path in made.glob("*/depth.pfm")} == set(found) - set(said)
     wanted = {"stereo.png", "confidence_stereo.pfm"} if preset == "kinect" else set()
-    assert {path.name for path in (run / "z_good").iterdir()} >= {"unreliable.png", "depth.pfm", *wanted}
-    assert ({"rectify", "stereo", "crf"} <= set(rows["z_good"]["seconds"])) == (preset == "kinect")
+    assert {path.name for path in (made / "z_good").iterdir()} >= {"unreliable.png", "depth.pfm", *wanted}
+    assert ({"rectify", "stereo", "crf"} <= set(found["z_good"]["seconds"])) == (preset == "kinect")
