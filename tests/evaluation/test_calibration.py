@@ -8,47 +8,34 @@ import pytest
 from depthcli.evaluation.curves import N_BINS, HiddenPixels, Reliability, hidden_pixels, reliability
 from depthcli.evaluation.map_files import DisparityFiles
 from depthcli.evaluation.protocols.registration import ExpectedErrorFiles
-from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import read_grey, write_png
+from tests.files import laid
 
 
-def test_a_measure_called_probability_is_not_that_of_the_map(tmp_path: Path):
-    for name in ("disp_left", "probability", "confidence_probability", "confidence_pkr", "confidence"):
-        (tmp_path / f"{name}.pfm").touch()
+def test_confidence_beside_a_map(tmp_path: Path):
+    """A measure called probability is not that of the map; of a registration, the confidence is a plane."""
+    names = ("confidence", "probability", "confidence_probability", "confidence_pkr")
+    laid(tmp_path, dict.fromkeys(("disp_left.pfm", *(f"{name}.pfm" for name in names)), b""))
     found = DisparityFiles().planes(tmp_path / "disp_left.pfm")
-    assert {name: file.stem for name, file in found.items()} == {
-        "probability": "probability", "confidence_probability": "confidence_probability", "pkr": "confidence_pkr",
-        "confidence": "confidence",
-    }  # fmt: skip
+    assert found == {"pkr" if name == "confidence_pkr" else name: tmp_path / f"{name}.pfm" for name in names}
+    laid(tmp_path, {"expected_error.nii.gz": b"", "confidence.nii.gz": b""})
+    found = ExpectedErrorFiles(("expected_error",), (".nii.gz",)).planes(tmp_path / "expected_error.nii.gz")
+    assert found == {"confidence": tmp_path / "confidence.nii.gz"}
 
 
 def test_expected_calibration_error_by_hand():
     found = reliability(np.array([0.91, 0.93, 0.12, 1.0, 0.11]), np.array([True, False, False, True, False]))
-    assert found is not None
     # Bins [.9, .95): mean .92, half right; [.1, .15): mean .115, none right; [.95, 1]: 1, all right.
     assert found.ece == pytest.approx((2 * 0.42 + 2 * 0.115 + 0) / 5)
-    assert found.pixels[18] == 2
-    assert found.right[18] == 0.5
-    assert math.isnan(found.right[0])
+    assert (found.pixels[18], found.right[18]) == (2, 0.5) and math.isnan(found.right[0])
 
 
 def test_pooled_is_that_of_all_pixels_together():
     rng = np.random.default_rng(1)
     p, right = rng.random(1000), rng.random(1000) < 0.6
-    parts = [reliability(p[k::3], right[k::3]) for k in range(3)]
-    whole = reliability(p, right)
-    assert whole is not None
-    pooled = Reliability.pooled(part for part in parts if part is not None)
-    assert pooled.pixels == whole.pixels
+    pooled, whole = Reliability.pooled(reliability(p[k::3], right[k::3]) for k in range(3)), reliability(p, right)
+    assert pooled.pixels == whole.pixels and len(pooled.pixels) == N_BINS
     assert pooled.ece == pytest.approx(whole.ece)
-    assert len(pooled.pixels) == N_BINS
-
-
-def test_the_confidence_volume_of_a_registration_is_a_plane(tmp_path: Path):
-    for name in ("expected_error.nii.gz", "confidence.nii.gz"):
-        (tmp_path / name).touch()
-    found = ExpectedErrorFiles(("expected_error",), (".nii.gz",)).planes(tmp_path / "expected_error.nii.gz")
-    assert found == {"confidence": tmp_path / "confidence.nii.gz"}
 
 
 def test_hidden_pixels_by_hand():
@@ -66,11 +53,8 @@ def test_hidden_pixels_by_hand():
 def test_evaluate_reads_confidence_and_status(made_scenes: Path, tmp_path: Path, tool):
     name = "curved_0"
     visible = read_grey(made_scenes / name / "mask_nonocc.png") == 255
-    folder = tmp_path / "run" / name
-    folder.mkdir(parents=True)
-    write_pfm(folder / "disp_left.pfm", np.full(visible.shape, 5, np.float32))
-    write_pfm(folder / "confidence.pfm", np.full(visible.shape, 0.25, np.float32))
-    write_pfm(folder / "confidence_da.pfm", np.full(visible.shape, 0.5, np.float32))  # a share, no probability
+    maps = {"disp_left": 5, "confidence": 0.25, "confidence_da": 0.5}  # which is a share, no probability
+    folder = laid(tmp_path / "run" / name, {f"{k}.pfm": np.full(visible.shape, v, np.float32) for k, v in maps.items()})
     write_png(folder / "status.png", np.where(visible, 0, [1, 4] * (visible.shape[1] // 2)).astype(np.uint8))
     words = ["evaluate", tmp_path / "run", "--truth", made_scenes, "--scenes", name, "-o", tmp_path / "out", "--html"]
     assert "Hidden pixels" in tool.out(0, *words, "--tables", "confidence,hidden")

@@ -42,22 +42,18 @@ def test_areas_are_integrals(pixels):
 def test_a_perfect_ranking_has_ratio_one_and_a_useless_one_the_area_of_chance(share):
     wrong = np.arange(20000) >= 20000 * (1 - share)
     perfect, useless, reverse = (sparsification(c, wrong) for c in (~wrong, np.zeros(20000), wrong))
-    assert perfect.ratio == pytest.approx(1)
+    assert (perfect.ratio, perfect.ause) == (pytest.approx(1), pytest.approx(0))
     assert perfect.auc == pytest.approx(share + (1 - share) * math.log(1 - share), rel=1e-9)
-    assert perfect.ause == pytest.approx(0)
-    assert useless.auc == pytest.approx(share)
-    assert useless.aurg == pytest.approx(0)
-    assert reverse.auc > useless.auc
+    assert (useless.auc, useless.aurg) == (pytest.approx(share), pytest.approx(0)) and reverse.auc > useless.auc
     # The figure of the other programs sees the curve at 20 shares only, in the optimum as well.
     assert perfect.auc_5_100 == perfect.optimal_5_100
 
 
 def test_infinite_and_unknown_confidences():
     confidence = np.array([np.nan, -np.inf, -5.0, np.inf])
-    for last, wrong in ((0, [True, False, False, False]), (1, [False, True, False, False]), (3, [0, 0, 0, True])):
-        curve = sparsification(confidence, np.array(wrong, bool))
-        places = [curve.errors[PERCENTAGES.index(p)] > 0 for p in (25, 50, 75, 100)]
-        assert places.index(True) == {0: 3, 1: 2, 3: 0}[last]
+    for wrong, place in ((0, 3), (1, 2), (3, 0)):
+        curve = sparsification(confidence, np.arange(4) == wrong)
+        assert [curve.errors[PERCENTAGES.index(p)] > 0 for p in (25, 50, 75, 100)].index(True) == place
     refused(ValueError, sparsification, np.zeros(0), np.zeros(0, bool))
 
 

@@ -36,16 +36,14 @@ def test_classes():
 
 
 PROTOCOL = RegistrationProtocol()
-WIDE = (8, 250, 100)
-"""Shape of a volume whose last axis has a common divisor with any round step."""
+WIDE = (8, 250, 100)  # a volume whose last axis has a common divisor with any round step
 
 
 def result(scene: str, expected: np.ndarray | None, true: np.ndarray, run: str = "run") -> MapResult:
     """The result of a dense truth; without ``expected``, of a pair that has no map."""
     volume = true.astype(np.float32)
-    inside = np.ones(volume.shape, bool)
-    grid = Grid((volume.shape[2], volume.shape[1], volume.shape[0]), (1.0, 1.0, 1.0))
-    truth = PreparedTruth(volume.ravel(), None, inside, RegistrationTruth(grid, np.zeros((0, 3)), volume))
+    stored = RegistrationTruth(Grid(volume.shape[::-1], (1.0, 1.0, 1.0)), np.zeros((0, 3)), volume)
+    truth = PreparedTruth(volume.ravel(), None, np.ones(volume.shape, bool), stored)
     start = MapResult(run, scene, "set", PROTOCOL.name)
     if expected is None:
         return replace(start, scores=tuple(missing_scores(PROTOCOL, truth)), error="no map")
@@ -84,15 +82,15 @@ def test_pooled_figures_are_those_of_all_points(limit: int, monkeypatch: pytest.
 def test_a_missing_pair_is_pooled_as_the_worst_points():
     here, lost = errors_along_x(3, (4, 50, 100)), errors_along_x(4, (2, 50, 100))
     full = result("a", *here)
-    pooled = values(PROTOCOL.mean([full, result("b", None, lost[1])]))
+    scores = PROTOCOL.mean([full, result("b", None, lost[1])])
+    pooled = values(scores)
     row = values(full.scores)
     assert pooled["Spearman"] == pytest.approx((2 * row["Spearman"] - 1) / 3)
     assert pooled["accuracy"] == pytest.approx(2 * row["accuracy"] / 3)
     assert np.isnan(pooled["MAE"])
     empty = result("b", np.full(lost[1].shape, np.nan), lost[1])
     assert values(PROTOCOL.mean([full, empty])) == pytest.approx(pooled, nan_ok=True)
-    for score in PROTOCOL.mean([full, result("b", None, lost[1])]):
-        assert score.density == pytest.approx(100 * 2 / 3)
+    assert [score.density for score in scores] == pytest.approx([100 * 2 / 3] * len(scores))
 
 
 def test_what_a_run_lacks_changes_no_other_runs_figures():
@@ -115,13 +113,11 @@ def test_one_word_and_one_number_for_what_is_no_mean():
     (section,) = report.sections
     key = PROTOCOL.headline, "voxels"
     value = section.score("run", MEAN, key).value
-    assert value != pytest.approx(
-        np.mean([section.score("run", scene, key).value for scene in section.scenes]), abs=1e-3
-    )
+    by_scene = [section.score("run", scene, key).value for scene in section.scenes]
+    assert value != pytest.approx(np.mean(by_scene), abs=1e-3)
     narrow, latex = chosen_text(report, ["all"]), chosen_text(report, [], form="latex")
-    assert "pooled of 3" in narrow and "pooled of 3" in latex
-    assert "mean of 3" not in narrow + latex
-    assert f"{value:.2f}" in narrow and f"{value:.2f}" in latex
+    for text in (narrow, latex):
+        assert "pooled of 3" in text and "mean of 3" not in text and f"{value:.2f}" in text
     rows = {row["scene"]: row for row in report.records() if row["metric"] == "Spearman"}
     assert rows["*pooled"]["value"] == value and "*mean" not in rows
     (mean,) = (row for row in report.to_dict()["means"] if row["metric"] == "Spearman")

@@ -165,14 +165,6 @@ def test_arrays_that_announce_terabytes(tmp_path: Path):
     refused(InputError, map_npy, path)
 
 
-def test_names_of_lists_are_unique(tmp_path: Path):
-    table = tmp_path / "pairs.csv"
-    table.write_text("left,right,name\na.png,b.png,2_left\nleft.png,b.png,\nleft.png,c.png,\n")
-    assert [pair.name for pair in scenes_of_table(table)] == ["2_left", "2_left_", "3_left"]
-    table.write_text("left,right,name\na.png,b.png,same\nleft.png,b.png,\nc.png,c.png,same\n")
-    refused(InputError, scenes_of_table, table)
-    for columns in ("left,right,right", "left,right,LEFT", "left,right,name,name"):
-        table.write_text(f"{columns}\na.png,b.png,c,d\n")
-        refused(InputError, scenes_of_table, table)
+def test_names_of_scenes_are_unique(tmp_path: Path):
     scenes = [StereoScene(name="a", folder=tmp_path / folder, left=tmp_path) for folder in ("x", "y")]
     refused(InputError, chosen_scenes, scenes, ["*"], tmp_path)

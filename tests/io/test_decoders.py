@@ -55,15 +55,23 @@ def test_what_is_no_image_is_said_with_what_is_expected(tmp_path: Path):
     refused(InputError, read_plane, stored(tmp_path, RGB.astype(np.float32), photometric="rgb"))
 
 
-@pytest.mark.parametrize("dtype", ["f2", "f4", "f8", "i1", "i2", "i4", "u4", ">i2", ">f4", ">f2"])
+@pytest.mark.parametrize("dtype", ["f2", "f4", "f8", "i1", "i2", "i4", "u4", ">i2", ">f4", ">f2", ">f8"])
 @pytest.mark.parametrize("compression", [None, "zlib"])
 def test_maps_of_every_kind_of_number(tmp_path: Path, dtype, compression):
     values = RNG.integers(-100, 100, (40, 50)) if "u" not in dtype else RNG.integers(0, 1 << 31, (40, 50))
     values = (values.astype(dtype) / (8 if "f" in dtype else 1)).astype(dtype)
+    if "f" in dtype:
+        values[0, 0], values[5, 3], values[9, 9] = np.nan, np.inf, np.finfo(dtype).max
     order = {"byteorder": ">"} if dtype.startswith(">") else {}
-    read = read_plane(stored(tmp_path, values, compression=compression, **order))
-    np.testing.assert_array_equal(read, values)
-    assert read.dtype.kind == values.dtype.kind
+    path = stored(tmp_path, values, compression=compression, rowsperstrip=6, **order)
+    data, read = path.read_bytes(), read_plane(path)
+    with np.errstate(over="ignore"):
+        np.testing.assert_array_equal(read, values.astype(read.dtype))
+    assert read.dtype == np.float32 if "f4" in dtype or "f8" in dtype else read.dtype.kind == values.dtype.kind
+    for size in range(0, len(data) - 4, len(data) // 25):
+        path.write_bytes(data[:size])
+        with pytest.raises(InputError):
+            read_plane(path)
 
 
 def test_values_of_eight_bits_in_files_of_sixteen(tmp_path: Path):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from depthcli.core.errors import InputError
-from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.images import image_size, read_image
 from tests.golden import refused, warned
@@ -44,14 +43,6 @@ def test_the_channels_that_are_left_out_are_named_and_guesses_refused(tmp_path: 
     refused(InputError, read_image, path)
     path.write_bytes(path.read_bytes()[:200])
     refused(InputError, read_plane, path)
-
-
-def test_the_background_of_a_renderer_is_no_depth(tmp_path: Path):
-    values = VALUES.copy()
-    values[:2] = 1e10
-    found, lines = warned(read_depth, stored(tmp_path, V=values))
-    np.testing.assert_array_equal(np.isnan(found), values > 100)
-    assert "1e+10" in lines[0]
 
 
 def test_without_the_library_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -90,7 +90,7 @@ def test_netpbm_plain_comments_and_big_endian(tmp_path: Path):
     path.write_bytes(b"P5\n2 1\n65535\n\x01\x02\x03\x04")
     np.testing.assert_array_equal(read_image(path), np.array([[258, 772]], np.uint16))
     for broken in (b"P5\n2 2\n255\nabc", b"P5\n0 2\n255\n", b"P5\n2 2\n99999\nabcd", b"P5 2", b"P2\n1 1\n9\nx",
-                   b"P4\n1 1\n\0"):  # fmt: skip
+                   b"P4\n1 1\n\0", b"hello", b"\x76\x2f\x31\x01" + bytes(100)):  # fmt: skip
         path.write_bytes(broken)
         refused(InputError, read_image, path)
 
@@ -101,15 +101,6 @@ def test_equal_channels_are_one_channel_of_codes(tmp_path: Path):
     np.testing.assert_array_equal(read_grey(tmp_path / "a.png"), array)
     write_png(tmp_path / "a.png", np.dstack([array, array, array + np.uint8(1)]))
     refused(InputError, read_grey, tmp_path / "a.png")
-
-
-def test_what_is_no_image_is_said_in_one_line(tmp_path: Path):
-    laid(tmp_path, {"text.png": "hello", "empty.png": "", "map.exr": b"\x76\x2f\x31\x01" + bytes(100)})
-    cv2.imwrite(str(tmp_path / "float.tiff"), np.ones((4, 4), np.float32))
-    for name in ("text.png", "empty.png", "float.tiff", "map.exr", "absent.png", "."):
-        with pytest.raises(InputError) as caught:
-            read_image(tmp_path / name)
-        assert str(tmp_path) in str(caught.value) and "\n" not in str(caught.value)
 
 
 def tiff(width: int, height: int, samples: int, bits: int, strip: bytes, compression: int, **tags: int) -> bytes:
@@ -162,14 +153,9 @@ def test_memory_that_may_be_used_is_compared_with_the_header(tmp_path: Path, mon
     refused(InputError, read_pair, path, path)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".ppm", ".tiff", ".bmp", ".pfm", ".npy"])
-def test_size_is_known_without_decoding(tmp_path: Path, suffix):
-    path = tmp_path / f"a{suffix}"
-    if suffix in (".pfm", ".npy"):
-        laid(tmp_path, {path.name: np.zeros((5, 7))})
-    else:
-        path.write_bytes(damage.encoded(suffix, np.zeros((5, 7, 3), np.uint8)))
-    assert image_size(path) == (5, 7)
+def test_size_of_maps_is_known_without_decoding(tmp_path: Path):
+    laid(tmp_path, {"a.pfm": np.zeros((5, 7)), "a.npy": np.zeros((5, 7))})
+    assert image_size(tmp_path / "a.pfm") == image_size(tmp_path / "a.npy") == (5, 7)
 
 
 def test_views_of_different_numbers_of_bits_are_named(tmp_path: Path):

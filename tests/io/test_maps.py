@@ -230,27 +230,6 @@ def test_npy_and_npz(tmp_path: Path):
         assert len(lines) == 1 and f"{name}: " in lines[0] and said in lines[0]
 
 
-@pytest.mark.parametrize("deflated", [False, True])
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_float_tiff_of_either_width_and_byte_order(tmp_path: Path, dtype: type, order: str, deflated: bool):
-    values = np.random.default_rng(6).uniform(1, 90, (23, 17)).astype(dtype)
-    values[0, 0], values[5, 3], values[9, 9] = np.nan, np.inf, np.finfo(dtype).max
-    path = tmp_path / "map.tif"
-    options = {"byteorder": order, "compression": "zlib" if deflated else None, "rowsperstrip": 6}
-    tifffile.imwrite(path, values.astype(values.dtype.newbyteorder(order)), **options)
-    data, plane = path.read_bytes(), read_plane(path)
-    with np.errstate(over="ignore"):
-        nearest = values.astype(np.float32)
-    assert plane.dtype == np.float32
-    np.testing.assert_array_equal(plane, nearest)
-    np.testing.assert_array_equal(read_disparity(path), np.where(np.isfinite(nearest), nearest, np.nan))
-    for size in range(0, len(data) - 4, max(1, len(data) // 50)):
-        path.write_bytes(data[:size])
-        with pytest.raises(InputError):
-            read_plane(path)
-
-
 def test_codes_of_depth_are_divided_by_their_scale(tmp_path: Path):
     path, codes = tmp_path / "depth.png", np.array([[0, 1, 1500, 65534]], np.uint16)
     write_png(path, codes)

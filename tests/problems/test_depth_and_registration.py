@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 import depthcli
-from depthcli.cli import main
 from depthcli.core.context import Context
-from depthcli.io.formats.disparity import read_pfm, write_pfm
-from depthcli.io.formats.images import read_image, write_png
+from depthcli.io.formats.disparity import read_pfm
+from depthcli.io.formats.images import read_image
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import RgbdScene, SequenceScene
 from depthcli.problems.inputs import load_config
 from depthcli.problems.kinect import RefineKinect, RefineKinectConfig
 from depthcli.run.job import Outcome
 from depthcli.simulate.deformed_volumes import make_deformed_pair
-from tests.command_line import contents
+from tests.command_line import contents, run
+from tests.files import laid
 from tests.golden import refused, saying
 
 
@@ -28,20 +28,16 @@ def frame(folder: Path) -> tuple[Any, Any]:
 
 
 def test_a_cloud_is_that_of_the_command(tmp_path: Path, made_kinect: Path):
-    color, depth = frame(made_kinect / "planes")
-    found = depthcli.refine_depth(color, depth, "dsrm", fb=43.5, ply=True, mask="measured", far=50)
+    found = depthcli.refine_depth(*frame(made_kinect / "planes"), "dsrm", fb=43.5, ply=True, mask="measured", far=50)
     found.save(tmp_path / "python")
-    cloud = ["--ply", "--mask", "measured", "--far", "50"]
-    run = str(tmp_path / "run")
-    assert main(["refine-kinect", "dsrm", "-i", str(made_kinect), "--scenes", "planes", *cloud, "-o", run, "-q"]) == 0
+    words = ["--scenes", "planes", "--ply", "--mask", "measured", "--far", "50", "-o", tmp_path / "run", "-q"]
+    assert run("refine-kinect", "dsrm", "-i", made_kinect, *words) == 0
     assert contents(tmp_path / "python") == contents(tmp_path / "run" / "planes")
     found.to_points("measured", far=50).save(tmp_path / "own.ply")
     assert (tmp_path / "own.ply").read_bytes() == (tmp_path / "python" / "points.ply").read_bytes()
 
 
-def test_the_numbers_of_a_sequence_are_means_of_the_frames_that_have_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_the_numbers_of_a_sequence_are_means_of_the_frames_that_have_them(tmp_path: Path, monkeypatch):
     rows = iter([{"density": 0.5, "median_bound": None}, {"density": 1.0, "median_bound": 0.25}])
     monkeypatch.setattr("depthcli.problems.frames.DepthProblem.compute", lambda *_: Outcome(dict(next(rows))))
     frames = tuple(RgbdScene(name=f"s/{k}", folder=tmp_path, color=None, depth=tmp_path) for k in range(2))
@@ -58,8 +54,7 @@ def test_a_result_describes_itself_and_codes_are_depths_by_their_scale(made_kine
     assert np.array_equal(by_codes.values, by_meters.values, equal_nan=True)
     found = depthcli.refine_depth(color, depth, "fast", intrinsics=(80, 80, 47.5, 35.5))
     assert np.array_equal(found.filled | found.kept | found.corrected, found.valid)
-    assert not (found.filled & found.kept).any()
-    assert not np.isfinite(depth[found.filled]).any()
+    assert not (found.filled & found.kept).any() and not np.isfinite(depth[found.filled]).any()
     assert found.bound.shape == found.probability.shape == found.values.shape == (72, 96)
     assert "other" in found.seconds and repr(found).startswith("RefinedDepth(96 x 72, ")
     assert found._repr_png_().startswith(b"\x89PNG")
@@ -75,15 +70,10 @@ def test_a_result_describes_itself_and_codes_are_depths_by_their_scale(made_kine
 COLOR, DEPTH = np.full((8, 9, 3), 100, np.uint8), np.ones((8, 9), np.float32)
 
 
-@pytest.mark.parametrize(
-    ("depth", "words"),
-    [
-        (1200 * DEPTH, ("1000", "millimeters")),
-        (120 * DEPTH, ("100", "centimeters")),
-        (np.full((8, 9), 7500, np.uint16), ("7.5 m", "5000", "depth_scale")),
-        (DEPTH, ()),
-    ],
-)
+@pytest.mark.parametrize(("depth", "words"), [
+    (1200 * DEPTH, ("1000", "millimeters")), (120 * DEPTH, ("100", "centimeters")), (DEPTH, ()),
+    (np.full((8, 9), 7500, np.uint16), ("7.5 m", "5000", "depth_scale")),
+])  # fmt: skip
 def test_a_wrong_unit_is_said(depth: Any, words: tuple[str, ...]):
     lines = depthcli.refine_depth(COLOR, depth, "nearest").warnings
     assert bool(lines) == bool(words) and all(word in lines[0] for word in words)
@@ -97,28 +87,20 @@ def test_what_is_a_measured_depth_is_the_same_for_the_command(tmp_path: Path):
     estimate[0], estimate[1], truth[3] = 0, -1, 0
     scores = depthcli.evaluate(estimate, truth, "depth")
     assert scores.value("coverage", "all") == pytest.approx(100 / 3)
-    write_png(tmp_path / "truth" / "one" / "color.png", np.zeros((4, 6, 3), np.uint8))
-    for name, values in (("truth/one/depth", truth), ("truth/one/depth_true", truth), ("run/one/depth", estimate)):
-        write_pfm(tmp_path / f"{name}.pfm", values)
-    command = ["evaluate", str(tmp_path / "run"), "--truth", str(tmp_path / "truth"), "--protocol", "depth", "-q"]
-    assert main([*command, "-o", str(tmp_path / "e")]) == 0
+    laid(tmp_path / "truth/one", {"color.png": COLOR[:4, :6], "depth.pfm": truth, "depth_true.pfm": truth})
+    laid(tmp_path / "run/one", {"depth.pfm": estimate})
+    words = ["--truth", tmp_path / "truth", "--protocol", "depth", "-q", "-o", tmp_path / "e"]
+    assert run("evaluate", tmp_path / "run", *words) == 0
     rows = json.loads((tmp_path / "e" / "scores.json").read_text())["results"][0]["scores"]
     assert {row["metric"]: row["value"] for row in rows if row["mask"] == "all"}["coverage"] == pytest.approx(100 / 3)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        (COLOR, np.zeros((8, 9), np.uint16)),
-        ([COLOR], DEPTH),
-        ([COLOR, COLOR[:5]], [DEPTH, DEPTH[:5]]),
-        (COLOR, DEPTH, {"depth_intrinsics": (1, 2, 3)}),
-        (COLOR, DEPTH, {"depth_to_color": np.eye(4)}),
-    ],
-)
-def test_wrong_frames_and_cameras_are_refused(arguments: tuple[Any, ...]):
-    color, depth, *cameras = arguments
-    refused(depthcli.InputError, depthcli.refine_depth, color, depth, "nearest", **cameras[0] if cameras else {})
+@pytest.mark.parametrize(("color", "depth", "cameras"), [
+    (COLOR, np.zeros((8, 9), np.uint16), {}), ([COLOR], DEPTH, {}), ([COLOR, COLOR[:5]], [DEPTH, DEPTH[:5]], {}),
+    (COLOR, DEPTH, {"depth_intrinsics": (1, 2, 3)}), (COLOR, DEPTH, {"depth_to_color": np.eye(4)}),
+])  # fmt: skip
+def test_wrong_frames_and_cameras_are_refused(color: Any, depth: Any, cameras: dict[str, Any]):
+    refused(depthcli.InputError, depthcli.refine_depth, color, depth, "nearest", **cameras)
 
 
 def test_what_a_preset_needs_is_said():
@@ -132,9 +114,7 @@ def test_depth_of_its_own_camera_is_registered():
     color, depth = np.zeros((60, 80, 3), np.uint8), np.full((15, 24), 2.0, np.float32)
     cameras = {"intrinsics": (80, 80, 39.5, 29.5), "depth_intrinsics": [20, 20, 11.5, 7]}
     found = depthcli.refine_depth(color, depth, "nearest", **cameras)
-    assert found.values.shape == (60, 80)
-    assert (found.values == 2).all()
-    assert found.kept.all()
+    assert found.values.shape == (60, 80) and (found.values == 2).all() and found.kept.all()
     assert (found.status == depthcli.DepthStatus.KEPT).all()
     moved = depthcli.refine_depth(color, depth, "nearest", **cameras, depth_to_color=(np.eye(3), [0.5, 0, 0]))
     # Half of the 24 - 20 columns that the depth camera sees more on either side, and 80 x 0.5 / 2 pixels.
@@ -144,19 +124,15 @@ def test_depth_of_its_own_camera_is_registered():
 def test_saved_files_are_the_values_of_the_result(tmp_path: Path, made_volumes: Path):
     names = ("fixed", "moving_warped", "mask")
     fixed, warped, mask = (read_volume(made_volumes / "pair_0" / f"{name}.nii.gz") for name in names)
-    spacing = fixed.grid.spacing[::-1]
-    found = depthcli.registration_confidence(
-        fixed.values, warped.values, spacing, mask=mask.values, origin=fixed.grid.origin,
-        direction=np.reshape(fixed.grid.direction, (3, 3)), max_voxels=30000,
-    )  # fmt: skip
+    grid = {"origin": fixed.grid.origin, "direction": np.reshape(fixed.grid.direction, (3, 3))}
+    volumes = fixed.values, warped.values, fixed.grid.spacing[::-1]
+    found = depthcli.registration_confidence(*volumes, mask=mask.values, **grid, max_voxels=30000)
     found.save(tmp_path / "python")
-    names = {"expected_error": "values", "confidence": "confidence", "bound": "bound", "probability": "probability"}
-    for name, attribute in names.items():
+    for name in ("expected_error", "confidence", "bound", "probability"):
         written = read_volume(tmp_path / "python" / f"{name}.nii.gz").values
-        assert np.array_equal(written, getattr(found, attribute)), name
+        assert np.array_equal(written, getattr(found, "values" if name == "expected_error" else name)), name
     assert found.shift.shape == (*found.values.shape, 3)
-    center = fixed.grid.to_point(np.array([[20.0, 28, 28]]))
-    (row,) = found.at(center)
+    (row,) = found.at(fixed.grid.to_point(np.array([[20.0, 28, 28]])))
     assert row["expected_error"] == pytest.approx(found.values[20, 28, 28], abs=0.1)
     assert {"search", "other"} <= set(found.seconds)
     assert found._repr_png_().startswith(b"\x89PNG") and "mm expected" in repr(found)
@@ -165,12 +141,11 @@ def test_saved_files_are_the_values_of_the_result(tmp_path: Path, made_volumes: 
 def test_images_of_simple_itk_know_where_they_are(made_volumes: Path):
     sitk = pytest.importorskip("SimpleITK")
     images = [sitk.ReadImage(str(made_volumes / "pair_0" / f"{n}.nii.gz")) for n in ("fixed", "moving_warped")]
-    arrays = [sitk.GetArrayFromImage(image) for image in images]
+    arrays, spacing = [sitk.GetArrayFromImage(image) for image in images], images[0].GetSpacing()
     found = depthcli.registration_confidence(*images, preset="axes")
-    spacing = images[0].GetSpacing()[::-1]
-    again = depthcli.registration_confidence(*arrays, spacing, preset="axes")
+    again = depthcli.registration_confidence(*arrays, spacing[::-1], preset="axes")
     assert np.array_equal(found.values, again.values)
-    assert found.grid.spacing == images[0].GetSpacing() and found.grid.origin == images[0].GetOrigin()
+    assert found.grid.spacing == spacing and found.grid.origin == images[0].GetOrigin()
     images[1].SetSpacing((1.0, 1.0, 9.0))
     refused(depthcli.InputError, depthcli.registration_confidence, *images, preset="axes")
 
@@ -179,29 +154,23 @@ SHAPE = (6, 8, 9)
 FIXED = np.random.default_rng(0).random(SHAPE, np.float32)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"spacing": None},
-        {"warped": FIXED[:5]},
-        {"warped": np.where(FIXED > 0.9, np.nan, FIXED)},
-        {"fixed": np.zeros(SHAPE)},
-        {"mask": np.zeros(SHAPE)},
-    ],
-)
-def test_wrong_volumes_are_refused(arguments: dict[str, Any]):
+@pytest.mark.parametrize("wrong", [
+    {"spacing": None}, {"warped": FIXED[:5]}, {"warped": np.where(FIXED > 0.9, np.nan, FIXED)},
+    {"fixed": np.zeros(SHAPE)}, {"mask": np.zeros(SHAPE)},
+])  # fmt: skip
+def test_wrong_volumes_are_refused(wrong: dict[str, Any]):
     with saying(depthcli.InputError):
-        depthcli.registration_confidence(**{"fixed": FIXED, "warped": FIXED, "spacing": (1, 1, 1), **arguments})
+        depthcli.registration_confidence(**{"fixed": FIXED, "warped": FIXED, "spacing": (1, 1, 1)} | wrong)
+
+
+def of_wide(overrides: dict[str, Any]) -> Any:
+    wide = make_deformed_pair(1, (20, 24, 24), 5.0)
+    return depthcli.registration_confidence(wide.fixed, wide.warped, (1.0, 1.0, 1.0), "mind", overrides)
 
 
 def test_bounds_and_probabilities_of_registrations_are_monotone():
-    wide = make_deformed_pair(1, (20, 24, 24), 5.0)
-    pair = (wide.fixed, wide.warped, (1.0, 1.0, 1.0), "mind")
     promises = [(0.5, 1.0), (0.9, 3.0), (0.99, 6.0)]
-    found = [
-        depthcli.registration_confidence(*pair, overrides={"bound.level": level, "bound.within": within, "levels": 2})
-        for level, within in promises
-    ]
+    found = [of_wide({"bound.level": level, "bound.within": within, "levels": 2}) for level, within in promises]
     for less, more in itertools.pairwise(found):
         assert (less.bound <= more.bound).all() and (less.bound < more.bound).any()
         assert (less.probability <= more.probability).all()
@@ -209,17 +178,12 @@ def test_bounds_and_probabilities_of_registrations_are_monotone():
     assert all(one.probability.min() >= 0 and one.probability.max() <= 1 for one in found)
     assert found[2].details.figures["reach"] == 5
     for one in found:
-        assert (one.bound >= one.values).all()
-        assert one.bound[np.isfinite(one.bound)].max() < 5
+        assert (one.bound >= one.values).all() and one.bound[np.isfinite(one.bound)].max() < 5
         np.testing.assert_array_equal(one.status, np.isposinf(one.bound))
 
 
 def test_further_resolutions_leave_the_calibrated_bounds_or_open_them():
-    wide = make_deformed_pair(1, (20, 24, 24), 5.0)
-    one, three = (
-        depthcli.registration_confidence(wide.fixed, wide.warped, (1.0, 1.0, 1.0), "mind", {"levels": levels})
-        for levels in (1, 3)
-    )
+    one, three = (of_wide({"levels": levels}) for levels in (1, 3))
     assert not np.array_equal(one.values, three.values)
     finite = np.isfinite(three.bound)
     assert finite.any() and np.isposinf(three.bound[np.isposinf(one.bound)]).all()

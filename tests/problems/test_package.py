@@ -15,16 +15,8 @@ from tests.golden import saying
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = (
-    "evaluation",
-    "fusion",
-    "given_maps",
-    "inputs",
-    "kinect",
-    "registration",
-    "results",
-    "stereo",
-    "transparent",
-)
+    "evaluation", "fusion", "given_maps", "inputs", "kinect", "registration", "results", "stereo", "transparent",
+)  # fmt: skip
 
 USER_SCRIPT = """
 import numpy as np
@@ -50,14 +42,11 @@ def python(*arguments: str, cwd: Path | None = None) -> str:
 
 def test_the_import_is_light():
     heavy = {"numpy", "numba", "cv2", "pydantic", "yaml"}
-    code = f"""
-import sys, depthcli
-assert "stereo" in dir(depthcli) and "Disparity" in depthcli.__all__
-assert not {heavy} & set(sys.modules)
+    light = f"""import sys, depthcli
+assert "stereo" in dir(depthcli) and "Disparity" in depthcli.__all__ and not {heavy} & set(sys.modules)
 depthcli.InputError  # errors need no kernels
-assert "numba" not in sys.modules
-"""
-    python("-c", code)
+assert "numba" not in sys.modules"""
+    python("-c", light)
 
 
 def test_the_stub_names_what_the_package_has():

@@ -83,21 +83,13 @@ def test_results_are_estimates_and_kitti_has_its_regions(made_scenes: Path):
 TRUTH = np.ones((4, 5), np.float32)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        (TRUTH, TRUTH, "middlebury-v4"),
-        (TRUTH[:2], TRUTH),
-        (TRUTH[:2], TRUTH, "registration"),
-        (TRUTH[:2], TRUTH, "depth"),
-        (TRUTH, TRUTH * np.nan),
-        (TRUTH, TRUTH, "depth", {"gap": TRUTH[:3]}),
-    ],
-)
+@pytest.mark.parametrize("arguments", [
+    (TRUTH, TRUTH, "middlebury-v4"), (TRUTH[:2], TRUTH), (TRUTH[:2], TRUTH, "registration"), (TRUTH[:2], TRUTH, "depth"),
+    (TRUTH, TRUTH * np.nan), (TRUTH, TRUTH, "depth", {"gap": TRUTH[:3]}),
+])  # fmt: skip
 def test_what_cannot_be_compared_is_refused(arguments: tuple[Any, ...]):
     refused(depthcli.InputError, depthcli.evaluate, *arguments)
 
 
 def test_a_score_that_is_not_there_is_named():
-    scores = depthcli.evaluate(TRUTH, TRUTH)
-    refused(depthcli.InputError, scores.value, "bad", "all")
+    refused(depthcli.InputError, depthcli.evaluate(TRUTH, TRUTH).value, "bad", "all")

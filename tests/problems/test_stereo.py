@@ -8,10 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 import depthcli
-from depthcli.cli import main
 from depthcli.core import memory
 from depthcli.io.formats.images import read_image
-from tests.command_line import contents, in_threads
+from tests.command_line import contents, in_threads, run
 from tests.golden import refused, saying
 
 Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]
@@ -28,10 +27,9 @@ def test_depth_is_that_of_the_command(tmp_path: Path, made_scenes: Path, pair: I
     depth = disparity.to_depth(focal=80.0, baseline=0.2, doffs=1.0)
     depth.save(tmp_path / "python")
     depth.to_points(far=4.0).save(tmp_path / "python" / "points.ply")
-    run = str(tmp_path / "run")
-    assert main(["stereo", "fast", "-i", str(made_scenes), "--scenes", "planes_0", "-o", run, "-q"]) == 0
+    assert run("stereo", "fast", "-i", made_scenes, "--scenes", "planes_0", "-o", tmp_path / "run", "-q") == 0
     cameras = ["--focal", "80", "--baseline", "0.2", "--doffs", "1", "--ply", "--far", "4"]
-    assert main(["depth", run, "--output", str(tmp_path / "depth"), *cameras, "-q"]) == 0
+    assert run("depth", tmp_path / "run", "--output", tmp_path / "depth", *cameras, "-q") == 0
     assert contents(tmp_path / "python") == contents(tmp_path / "depth" / "planes_0")
 
 
@@ -45,6 +43,8 @@ def test_a_result_describes_itself(pair: Images):
     assert {"cost", "optimization", "other"} <= set(disparity.seconds)
     assert disparity._repr_png_().startswith(b"\x89PNG")
     assert "96 x 64, searched 0 to 12 px, 100.0 %" in repr(disparity)
+    again = pickle.loads(pickle.dumps(disparity))
+    assert np.array_equal(again.values, disparity.values) and again.search == disparity.search
     with pytest.raises(AttributeError):
         disparity.values = disparity.values  # type: ignore[misc]
     depth = disparity.to_depth(focal=80.0, baseline=0.2, mask=disparity.measured)
@@ -62,9 +62,8 @@ def test_the_same_image_in_other_forms(pair: Images):
     frozen = [image.copy() for image in pair]
     for image in frozen:
         image.flags.writeable = False
-    assert np.array_equal(values(*frozen), expected)
-    assert np.array_equal(values(*(np.asfortranarray(image) for image in pair)), expected)
-    assert np.array_equal(values(*(np.dstack([image, image[..., 0]]) for image in pair)), expected)
+    for same in (frozen, map(np.asfortranarray, pair), (np.dstack([image, image[..., 0]]) for image in pair)):
+        assert np.array_equal(values(*same), expected)
     deep = [image.astype(np.uint16) * np.uint16(257) for image in pair]  # luma of 16 bits is rounded otherwise
     expected = values(*deep)
     assert np.array_equal(values(*(image.astype(">u2") for image in deep)), expected)
@@ -82,17 +81,10 @@ def test_overrides_are_those_of_set(pair: Images):
     assert np.array_equal(given.values, depthcli.stereo(*pair, 12).values)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"preset": "acurate"},
-        {"tilez": "never"},
-        {"overrides": {"cost.": 1}},
-    ],
-)
-def test_wrong_configs_are_refused(pair: Images, arguments: dict[str, object]):
+@pytest.mark.parametrize("wrong", [{"preset": "acurate"}, {"tilez": "never"}, {"overrides": {"cost.": 1}}])
+def test_wrong_configs_are_refused(pair: Images, wrong: dict[str, object]):
     with saying(depthcli.ConfigError):
-        depthcli.stereo(*pair, **{"max_disparity": 12, **arguments})  # type: ignore[arg-type]
+        depthcli.stereo(*pair, **{"max_disparity": 12} | wrong)  # type: ignore[arg-type]
 
 
 def test_a_device_that_is_not_here_is_refused(pair: Images):
@@ -100,16 +92,11 @@ def test_a_device_that_is_not_here_is_refused(pair: Images):
         depthcli.stereo(*pair, 12, device="cuda:99")
 
 
-@pytest.mark.parametrize(
-    ("left", "right"),
-    [
-        (np.zeros((5, 6), np.uint8), np.zeros((5, 7), np.uint8)),
-        (np.zeros((5, 6), np.int32), np.zeros((5, 6), np.uint8)),
-        (np.zeros((5, 6), np.uint8), np.full((5, 6), 2.0)),
-        (np.zeros((5, 6, 2), np.uint8), np.zeros((5, 6), np.uint8)),
-        ("left.png", "right.png"),
-    ],
-)
+@pytest.mark.parametrize(("left", "right"), [
+    (np.zeros((5, 6), np.uint8), np.zeros((5, 7), np.uint8)), (np.zeros((5, 6), np.int32), np.zeros((5, 6), np.uint8)),
+    (np.zeros((5, 6), np.uint8), np.full((5, 6), 2.0)), (np.zeros((5, 6, 2), np.uint8), np.zeros((5, 6), np.uint8)),
+    ("left.png", "right.png"),
+])  # fmt: skip
 def test_wrong_images_are_refused(left: NDArray[np.generic], right: NDArray[np.generic]):
     refused(depthcli.InputError, depthcli.stereo, left, right, 4, "fast")
 
@@ -148,14 +135,13 @@ def test_a_matcher_in_several_threads_gives_what_it_gives_alone(pair: Images, pr
 
 
 def test_frames_back_to_back_take_no_more_memory(pair: Images):
-    match = depthcli.matcher("fast", max_disparity=12)
+    match, status = depthcli.matcher("fast", max_disparity=12), Path("/proc/self/status")
+    if not status.is_file():
+        pytest.skip("no /proc here")
 
     def resident() -> int:
-        lines = Path("/proc/self/status").read_text("ascii").splitlines()
-        return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS:"))
+        return int(status.read_text("ascii").partition("VmRSS:")[2].split()[0])
 
-    if not Path("/proc/self/status").is_file():
-        pytest.skip("no /proc here")
     for _ in range(30):
         match(*pair)
     before, kept = resident(), memory.kept()
@@ -163,9 +149,3 @@ def test_frames_back_to_back_take_no_more_memory(pair: Images):
         match(*pair)
     assert resident() - before < 4000  # KiB; one frame leaves 100 KiB of maps
     assert memory.kept() <= kept + (1 << 20)
-
-
-def test_results_can_be_pickled(pair: Images):
-    found = depthcli.stereo(*pair, 12, "fast")
-    again = pickle.loads(pickle.dumps(found))
-    assert np.array_equal(again.values, found.values) and again.search == found.search
