@@ -76,15 +76,3 @@ def test_agrees_with_the_naive_matcher(counts, ratio):
     pairs = set(zip(found.left.tolist(), found.right.tolist(), strict=True))
     assert pairs == naive.matches(left, right, 20, 0.5, **settings)
     assert np.array_equal(found.disparity, left.x[found.left] - right.x[found.right])
-
-
-def test_repetition_is_rejected():
-    """Two candidates that look alike, far from each other: ambiguous; two responses at one spot: not."""
-
-    def at(*xs):
-        ones = np.ones(len(xs), np.float32)
-        descriptors = np.stack([ones, 0 * ones], axis=1)
-        return KeyPoints(np.array(xs, np.float32), ones, ones, ones, ones.astype(np.int8), descriptors)
-
-    for others, expected in (((), 1), ((14,), 0), ((5,), 1), ((19,), 1)):  # 5 is out of range
-        assert len(KeyPointMatching(agreeing=0)(at(30), at(20, *others), 20)) == expected

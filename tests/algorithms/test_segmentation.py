@@ -58,15 +58,3 @@ def test_agrees_with_the_definition(height, width, unknown, min_size):
     for found, want in zip(method.layers(image, depth), expected, strict=True):
         np.testing.assert_array_equal(found, want)
     np.testing.assert_array_equal(method(image, depth), expected[0])
-
-
-def test_depth_keeps_apart_what_color_would_join():
-    image = np.full((40, 60, 3), 90, np.uint8)
-    depth = np.full((40, 60), 2.0, np.float32)
-    depth[:, 30:] = 5
-    depth[:, 26:34] = np.nan
-    labels = StatisticalRegionMerging(depth_guidance=1000)(image, depth)
-    assert labels.max() == 1
-    assert len(np.unique(labels[:, :26])) == len(np.unique(labels[:, 34:])) == 1  # the gap joins either
-    assert StatisticalRegionMerging(depth_guidance=0)(image, depth).max() == 0
-    assert StatisticalRegionMerging()(image).max() == 0

@@ -8,6 +8,9 @@ from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.core.frames import RgbdFrame
 from depthcli.simulate.depth_sensor import KinectSample, simulate_kinect
 from depthcli.simulate.kinect_scenes import make_kinect_scene
+from tests.contracts.inputs import part
+
+pipeline = functools.partial(part, "methods.kinect.pipeline")
 
 
 @functools.cache

@@ -7,12 +7,8 @@ import pytest
 from depthcli.core.frames import RgbdFrame
 from depthcli.methods.kinect import gap_filling
 from depthcli.methods.kinect.gap_filling import fill_gaps
-from depthcli.methods.kinect.pipeline.dsrm import Dsrm
-from depthcli.methods.kinect.pipeline.nearest import NearestFill
-from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
-from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
 from depthcli.simulate.kinect_scenes import make_kinect_scene
-from tests.methods.kinect._made import off, sample_of
+from tests.methods.kinect._made import off, pipeline, sample_of
 from tests.naive import kinect as naive
 
 
@@ -59,9 +55,9 @@ def test_planes_continue_and_fade():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pipeline", [PlaneVotes(), Dsrm(), ShadowSmoother()], ids=["accurate", "dsrm", "fast"])
+@pytest.mark.parametrize(("name", "ratio"), [("plane_votes", 0.8), ("dsrm", 0.8), ("shadow_smoother", 1.2)])
 @pytest.mark.parametrize("kind", ["planes", "foreground", "curved"])
-def test_holes_in_a_frame_without_shadows_are_filled_better_than_by_the_nearest_value(pipeline, kind):
+def test_holes_in_a_frame_without_shadows_are_filled_better_than_by_the_nearest_value(name, ratio, kind):
     color, truth = make_kinect_scene(kind, 3, 320, 240, 40)
     rng = np.random.default_rng(0)
     measured = truth + 0.2 * rng.standard_normal(truth.shape, np.float32)
@@ -70,14 +66,16 @@ def test_holes_in_a_frame_without_shadows_are_filled_better_than_by_the_nearest_
         y, x = rng.integers(0, 210), rng.integers(0, 285)
         holes[y : y + 30, x : x + 35] = True
     frame = RgbdFrame(color, (43.5 / np.where(holes, np.nan, measured)).astype(np.float32))
-    error, nearest = (np.abs(43.5 / m(frame).depth.values - truth)[holes].mean() for m in (pipeline, NearestFill()))
-    assert error < (1.2 if isinstance(pipeline, ShadowSmoother) else 0.8) * nearest
+    error, nearest = (
+        np.abs(43.5 / pipeline(each)(frame).depth.values - truth)[holes].mean() for each in (name, "nearest")
+    )
+    assert error < ratio * nearest
 
 
 def test_where_shadows_lie_can_be_set():
     sample, errors = sample_of(size=(320, 240), shadows="right"), {}
     for where in (True, "right", "left", False):
-        result = Dsrm(shadows=where)(sample.frame())
+        result = pipeline("dsrm", shadows=where)(sample.frame())
         errors[where] = off(result, sample)[sample.occluded].mean()
         assert set(result.figures) == {"shadows_left", "shadows_right", "shadow_width_left", "shadow_width_right"}
     assert errors["right"] == pytest.approx(errors[True], rel=0.2)

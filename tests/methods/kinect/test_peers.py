@@ -7,14 +7,8 @@ from depthcli.core.context import Clock
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.methods.kinect.disparity import nearest_fill, refined_depth
-from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
-from depthcli.methods.kinect.pipeline.inpaint import Inpaint
-from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
-from depthcli.methods.kinect.pipeline.nearest import NearestFill
-from depthcli.methods.kinect.pipeline.realsense import Realsense
-from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
 from tests.golden import refused
-from tests.methods.kinect._made import off, sample_of
+from tests.methods.kinect._made import off, pipeline, sample_of
 
 
 def few_pixels(disparity):
@@ -23,12 +17,13 @@ def few_pixels(disparity):
     return RgbdFrame(color, (43.5 / disparity).astype(np.float32))
 
 
-@pytest.mark.parametrize(
-    "method", [Inpaint(), Inpaint(algorithm="navier-stokes"), JointBilateralFill(), NearestFill()], ids=repr
-)
-def test_fills_keep_what_is_known(method):
+FILLS = ("inpaint", {}), ("inpaint", {"algorithm": "navier-stokes"}), ("joint_bilateral", {}), ("nearest", {})
+
+
+@pytest.mark.parametrize(("name", "fields"), FILLS)
+def test_fills_keep_what_is_known(name, fields):
     frame = sample_of(seed=2, discs=4).frame()
-    refined, known = method(frame).depth, ~np.isnan(frame.depth)
+    refined, known = pipeline(name, **fields)(frame).depth, ~np.isnan(frame.depth)
     np.testing.assert_array_equal(refined.values[known], frame.depth[known])
     assert (refined.status[known] == DepthStatus.KEPT).all()
     assert (refined.status[~known] == DepthStatus.GAP_FILLED).all()
@@ -74,7 +69,7 @@ def test_realsense_spatial_filter():
     rng = np.random.default_rng(3)
     disparity = (20 + np.cumsum(rng.normal(0, 0.4, (13, 17)), axis=1)).astype(np.float32)
     disparity[rng.random((13, 17)) < 0.2] = np.nan
-    method, frame = Realsense(temporal_alpha=1, persistency=0, hole_filling="off"), few_pixels(disparity)
+    method, frame = pipeline("realsense", temporal_alpha=1, persistency=0, hole_filling="off"), few_pixels(disparity)
     expected = frame.disparity.astype(float)
     for _ in range(2):
         expected = np.array([spatial(row, 0.5, 20 / 32) for row in expected])
@@ -83,7 +78,7 @@ def test_realsense_spatial_filter():
 
 
 def test_realsense_temporal_filter_smooths_carries_over_and_follows():
-    method = Realsense(magnitude=0, hole_filling="off")
+    method = pipeline("realsense", magnitude=0, hole_filling="off")
     # steady; seen twice, then gone for long; moves by more than the threshold
     columns = [[10, 10.4, 10, 10, 10, 10, 10], [10, 10] + [np.nan] * 5, [10, 12, 12, 12, 12, 12, 12]]
     state, seen, carried = None, [], []
@@ -105,7 +100,7 @@ def test_realsense_temporal_filter_smooths_carries_over_and_follows():
 def test_realsense_hole_filling(mode, value):
     disparity = np.full((3, 4), 10.0)
     disparity[0, 2], disparity[2, 1], disparity[1, 2] = 14, 8, np.nan
-    refined = Realsense(magnitude=0, hole_filling=mode)(few_pixels(disparity))
+    refined = pipeline("realsense", magnitude=0, hole_filling=mode)(few_pixels(disparity))
     assert 43.5 / refined.depth.values[1, 2] == pytest.approx(value, rel=1e-5)
 
 
@@ -113,7 +108,8 @@ def test_realsense_hole_filling(mode, value):
 @pytest.mark.parametrize("kind", ["planes", "foreground", "curved", "camouflage"])
 def test_shadow_smoother_has_smaller_errors_than_the_smoother_it_uses(kind):
     sample = sample_of(kind, size=(320, 240), discs=4)
-    ours, peer = (off(method(sample.frame()), sample) for method in (ShadowSmoother(), FastGlobalSmoother()))
+    methods = pipeline("shadow_smoother"), pipeline("fast_global_smoother")
+    ours, peer = (off(method(sample.frame()), sample) for method in methods)
     for part in (sample.gap, sample.mismatch):
         assert np.nanmean(ours[part]) < 0.8 * np.nanmean(peer[part])
     assert np.nanmean(ours[sample.measured]) < 0.24

@@ -6,14 +6,11 @@ import pytest
 
 from depthcli.algorithms.plane_fitting.window_planes import window_planes
 from depthcli.methods.kinect.candidates import LEVELS, OPENING_LEVEL, ExtraVotes, Voters, cast_votes, hidden_openings
-from depthcli.methods.kinect.depth_edges import MIN_OFFSET, correct_probability, outline_offsets
+from depthcli.methods.kinect.depth_edges import MIN_OFFSET, outline_offsets
 from depthcli.methods.kinect.gap_limits import GapLimits, shadow_background, shadow_limits
-from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
-from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
-from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
 from depthcli.methods.kinect.shadows import Shadow, Shadows, measure_shadows
 from depthcli.simulate.depth_sensor import simulate_kinect
-from tests.methods.kinect._made import off, sample_of
+from tests.methods.kinect._made import off, pipeline, sample_of
 from tests.naive import kinect_votes as naive
 
 
@@ -111,15 +108,6 @@ def test_outline_offsets_are_the_simulated_fattening(fattening):
         assert abs(MIN_OFFSET + distribution.argmax() - fattening) <= 1
 
 
-@pytest.mark.slow
-def test_correct_probability_separates_right_from_wrong_measurements():
-    sample = large()
-    right = correct_probability(lab_of(sample.color), sample.disparity, 1.5, measure_shadows(sample.disparity, 1.5))
-    known = sample.measured | sample.mismatch
-    assert sample.mismatch[known & (right < 0.2)].mean() > 0.75
-    assert sample.mismatch[known & (right > 0.9)].mean() < 0.05
-
-
 def test_shadows_are_measured_on_both_sides():
     sample = large(discs=0)
     found = measure_shadows(sample.disparity, 1.5)
@@ -175,7 +163,7 @@ def test_an_opening_closed_by_the_sensor_is_found_by_its_color():
     hidden = hidden_openings(lab, planes, Voters.of(lab, planes, trust, LEVELS[OPENING_LEVEL][0]), near, 1.5, 11.0)
     assert hidden[opening].all()
     assert hidden[near & ~cv2.dilate(opening.astype(np.uint8), np.ones((9, 9))).astype(bool)].mean() < 0.01
-    refined = PlaneVotes()(sample.frame())
+    refined = pipeline("plane_votes")(sample.frame())
     assert np.median(43.5 / refined.depth.values[opening]) == pytest.approx(22, abs=0.5)
 
 
@@ -184,12 +172,12 @@ def test_an_opening_closed_by_the_sensor_is_found_by_its_color():
 def test_errors_are_below_those_of_library_filters_everywhere(kind):
     sample = large(kind, 1, (320, 240))
     frame = sample.frame()
-    refined = PlaneVotes()(frame)
+    refined = pipeline("plane_votes")(frame)
     error, raw = off(refined, sample), np.abs(sample.disparity - sample.truth)
     assert refined.depth.density == 1
     assert error[sample.measured].mean() < 0.5 * raw[sample.measured].mean()
     assert error[sample.mismatch].mean() < 0.4 * raw[sample.mismatch].mean()
-    for peer in (JointBilateralFill(), FastGlobalSmoother()):
+    for peer in map(pipeline, ("joint_bilateral", "fast_global_smoother")):
         other = off(peer(frame), sample)
         assert error[sample.gap].mean() < 0.5 * other[sample.gap].mean()
         assert error[sample.mismatch].mean() < other[sample.mismatch].mean()

@@ -30,13 +30,13 @@ class Graph:
     def slice(self, array: str, start: int, end: int, axis: int) -> str:
         return self.add("Slice", array, *(self.constant([n], np.int64) for n in (start, end, axis)))
 
-    def save(self, path: Path, inputs: dict[str, Sequence[Any]], output: str, dtype: str = "FLOAT") -> Path:
+    def save(self, path: Path, inputs: dict[str, Sequence[Any]], output: str) -> Path:
         from onnx import TensorProto, helper, save
 
-        ports = []
-        for name, shape in inputs.items():
-            kind = TensorProto.INT64 if not shape else getattr(TensorProto, dtype)
-            ports.append(helper.make_tensor_value_info(name, kind, shape))
+        ports = [
+            helper.make_tensor_value_info(name, TensorProto.FLOAT if shape else TensorProto.INT64, shape)
+            for name, shape in inputs.items()
+        ]
         outputs = [helper.make_tensor_value_info(output, TensorProto.FLOAT, None)]
         graph = helper.make_graph(self.nodes, "toy", ports, outputs, self.constants)
         save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), str(path))
@@ -44,25 +44,15 @@ class Graph:
 
 
 def block_matcher(
-    path: Path,
-    form: str = "two",
-    size: tuple[int, int] | None = None,
-    factor: float = 1.0,
-    disparities: int = 24,
-    multiple: int = 1,
+    path: Path, form: str = "two", size: Any = ("H", "W"), factor: float = 1.0, disparities: int = 24, multiple: int = 1
 ) -> Path:
-    """Write a network that takes the cheapest of ``disparities`` blocks of 9 x 9.
+    """Write a network that takes the cheapest of ``disparities`` blocks of 9 x 9, and multiplies it by ``factor``.
 
-    Parameters
-    ----------
-    form : "six" and "grey": one input of 6 or 2 channels; "two"; "last": two, channels last; "right-first";
-        "four": matches at half the size; "iterations": right where 3 iterations are requested
-    size : (H, W); None: any
-    factor : of the output
-    multiple : fails where the height is no multiple of it
+    The form "six" or "grey" has one input of 6 or 2 channels, "last" two with channels last; "four" matches at half
+    the size; "iterations" is right where 3 iterations are requested. Heights must be a multiple of ``multiple``.
     """
     graph = Graph()
-    height, width = size or ("H", "W")
+    height, width = size
     image: tuple[Any, ...] = (1, 3, height, width)
     inputs: dict[str, Sequence[Any]]
     if form in ("six", "grey"):
@@ -73,7 +63,7 @@ def block_matcher(
         inputs = {"left": (1, height, width, 3), "right": (1, height, width, 3)}
         left, right = (graph.add("Transpose", name, perm=[0, 3, 1, 2]) for name in inputs)
     elif form == "four":
-        half: tuple[Any, ...] = (1, 3, height // 2, width // 2) if size else (1, 3, "h", "w")
+        half: tuple[Any, ...] = (1, 3, height // 2, width // 2) if height != "H" else (1, 3, "h", "w")
         inputs = {"init_left": half, "init_right": half, "next_left": image, "next_right": image}
         left, right = "init_left", "init_right"
     else:
@@ -108,8 +98,7 @@ def block_matcher(
 
 def local_features(path: Path, channels: int | None = 3, pads: int = 0, stride: int = 1, batch: int = 1) -> Path:
     """Write a network that gives the 3 x 3 window of every pixel; channels None: its input is (H, W)."""
-    graph = Graph()
-    image = "image"
+    graph, image = Graph(), "image"
     if channels is None:
         image = graph.add("Unsqueeze", image, graph.constant([0, 1], np.int64))
     count = channels or 1

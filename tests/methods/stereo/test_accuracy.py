@@ -6,10 +6,8 @@ Middlebury, bad > 1 px, missing counts as bad. A figure that improves is welcome
 import numpy as np
 import pytest
 
-from depthcli.methods.stereo.pipeline.opencv_bm import OpencvBm
-from depthcli.methods.stereo.pipeline.opencv_sgbm import OpencvSgbm
 from depthcli.simulate.stereo_scenes import make_scene
-from tests.contracts.inputs import preset, views, wrong
+from tests.contracts.inputs import part, preset, views, wrong
 from tests.scenes import V2, errors, real_pair, real_scenes
 
 pytestmark = pytest.mark.slow
@@ -26,7 +24,10 @@ def mean_error(method, folder):
 
 
 REAL = "the real pair of scikit-image"
-PEERS = OpencvSgbm(), OpencvSgbm(mode="3way", wls={}), OpencvBm()
+PEERS = [
+    part("methods.stereo.pipeline", name, **fields)
+    for name, fields in (("opencv_sgbm", {}), ("opencv_sgbm", {"mode": "3way", "wls": {}}), ("opencv_bm", {}))
+]
 
 
 @pytest.mark.parametrize(("folder", "golden"), [(REAL, (11.84, 17.53, 12.74)), (V2, (11.2, 9.2, 15.0))])
@@ -162,7 +163,7 @@ def test_accurate_beats_sgbm_on_generated_scenes():
 def test_accurate_beats_sgbm_on_a_street():
     """Wrong by more than 3 px, visible pixels of a KITTI frame; both maps are dense."""
     scene = real_scenes("kitti", "kitti_2012")["2012_000070_10"]
-    ours, sgbm = (errors(method, scene, "kitti_2012")["noc"] for method in (pipeline("accurate"), OpencvSgbm()))
+    ours, sgbm = (errors(method, scene, "kitti_2012")["noc"] for method in (pipeline("accurate"), PEERS[0]))
     assert ours <= 4.2 and ours < sgbm - 1
 
 

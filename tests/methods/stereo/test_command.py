@@ -9,6 +9,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +22,9 @@ from depthcli.io.formats.disparity import read_pfm, write_disparity_png, write_p
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.methods.stereo.pipeline._process import ProgramError, run_program
 from depthcli.problems.stereo import StereoConfig
+from depthcli.testing.inputs import texture
 from tests.command_line import rows
-from tests.golden import refused, told
+from tests.golden import refused
 
 # OpenCV's matcher as a program of somebody else: reads two images, writes a map as .npy.
 SGBM = """
@@ -99,14 +101,11 @@ def test_a_program_with_opencvs_matcher_is_as_good_as_the_matcher(here: Path, ma
     assert stereo("sgbm.yaml", made_scenes, "others", *options, "--jobs", "2") == 0
     assert stereo("opencv-sgbm", made_scenes, "ours", *options, "--set", "fill=false") == 0
     found = rows(here / "others")["planes_0"]
-    assert found["density"] > 0.7
-    assert found["seconds"].keys() >= {"write", "program", "read"}
-    assert found["program_cpu"] > 0.05
-    assert 20 << 20 < found["program_memory"] < 400 << 20
+    assert found["density"] > 0.7 and found["seconds"].keys() >= {"write", "program", "read"}
+    assert found["program_cpu"] > 0.05 and 20 << 20 < found["program_memory"] < 400 << 20
     one, other = map_of("others"), map_of("ours")
     both = np.isfinite(one) & np.isfinite(other)
-    assert both.mean() > 0.6
-    assert np.mean(np.abs(one[both] - other[both]) < 1) > 0.95
+    assert both.mean() > 0.6 and np.mean(np.abs(one[both] - other[both]) < 1) > 0.95
     assert not list((here / "scratch").iterdir())
 
 
@@ -120,8 +119,7 @@ def test_each_failure_is_a_row_and_the_other_scenes_are_written(here: Path, made
     assert [row["status"] for row in found.values()] == ["done", "failed", "done"]
     assert FAILURES[kind] in found["planes_1"]["error"]
     (kept,) = (here / "scratch").iterdir()
-    assert str(kept) in found["planes_1"]["error"]
-    assert (kept / "left.png").is_file()
+    assert str(kept) in found["planes_1"]["error"] and (kept / "left.png").is_file()
 
 
 @pytest.mark.slow
@@ -132,19 +130,18 @@ def test_a_run_goes_on_unless_program_or_version_are_others(here: Path, made_sce
     (here / "sgbm.py").write_text(SGBM.replace("raw / 16", "raw / 8"))
     before = map_of("run")
     assert main(run) == 0
-    after = map_of("run")
-    both = np.isfinite(before) & np.isfinite(after) & (before > 0)
-    assert np.median(after[both] / before[both]) == 2
+    both = np.isfinite(before) & np.isfinite(map_of("run")) & (before > 0)
+    assert np.median(map_of("run")[both] / before[both]) == 2
     tool.told(2, *run, "--set", "version=2.1")
 
 
 @pytest.mark.slow
 def test_it_is_a_method_for_python_matched_in_tiles_where_a_halo_is_given(here: Path):
-    left = np.random.default_rng(0).integers(0, 256, (160, 320), np.uint8)
-    right = np.roll(left, -7, axis=1)
-    fields = {**NPY, "max_disparity": 15, "tiles": "always"}
-    whole = depthcli.stereo(left, right, preset=program(SGBM_WORDS, **fields))
-    tiled = depthcli.stereo(left, right, preset=program(SGBM_WORDS, **fields, halo=20))
+    left = texture((160, 320))
+    whole, tiled = (
+        depthcli.stereo(left, np.roll(left, -7, axis=1), max_disparity=15, preset=program(SGBM_WORDS, **fields))
+        for fields in ({**NPY, "tiles": "always"}, {**NPY, "tiles": "always", "halo": 20})
+    )
     assert np.nanmedian(whole.values) == np.nanmedian(tiled.values) == 7
     assert "tiles" not in whole.details.figures
     assert tiled.details.figures["tiles"] >= 1
@@ -177,7 +174,7 @@ def test_formats_scales_and_values_that_mean_none(here: Path):
 @pytest.mark.slow
 @pytest.mark.parametrize(("images", "kind"), [("png", (20, 30, 3)), ("pgm", (20, 30)), ("ppm", (20, 30, 3))])
 def test_images_are_written_as_the_program_reads_them(here: Path, images: str, kind: tuple[int, ...]):
-    left = np.random.default_rng(1).integers(0, 256, (20, 30, 3), np.uint8)
+    left = texture((20, 30, 3))
     code = f"import shutil, sys, numpy as n; shutil.copy(sys.argv[1], r'{here}'); n.save('map.npy', n.ones((20, 30)))"
     preset = program([sys.executable, "-c", code, "{left}"], images=images, format="npy", output="map.npy")
     assert (depthcli.stereo(left, left, preset=preset, max_disparity=15).values == 1).all()
@@ -187,18 +184,17 @@ def test_images_are_written_as_the_program_reads_them(here: Path, images: str, k
 
 
 @pytest.mark.slow
-def test_original_images_are_the_scene_s_own_files_or_refused(here: Path, made_scenes: Path, capsys):
-    code = (
-        "import sys, numpy; open(sys.argv[4], 'a').write('\\n'.join(sys.argv[1:3]) + '\\n'); "
-        "numpy.save(sys.argv[3], numpy.full((64, 96), 3, numpy.float32))"
-    )
+def test_original_images_are_the_scene_s_own_files_or_refused(here: Path, made_scenes: Path, tool):
+    code = """import sys, numpy
+open(sys.argv[4], 'a').write(chr(10).join(sys.argv[1:3]))
+numpy.save(sys.argv[3], numpy.full((64, 96), 3, numpy.float32))"""
     words = [sys.executable, "-c", code, "{left}", "{right}", "{output}", "{cwd}/seen"]
     write_config("c.yaml", words, images="original")
     assert stereo("c.yaml", made_scenes, "run", "--scenes", "planes_0") == 0
     seen = set((here / "seen").read_text().split())
     assert seen == {str(path) for path in (made_scenes / "planes_0").glob("[lr]*.png")}
-    assert stereo("c.yaml", made_scenes, "shifted", "--scenes", "planes_0", "--set", "min_disparity=1") == 3
-    told(capsys.readouterr().err)
+    shifted = ("-o", "shifted", "-q", "--scenes", "planes_0", "--set", "min_disparity=1")
+    tool.told(3, "stereo", "c.yaml", "-i", made_scenes, *shifted)
     assert not list((here / "scratch").iterdir())
 
 
@@ -212,21 +208,12 @@ def test_no_shell_reads_the_name_of_a_scene(here: Path, made_scenes: Path, name:
     assert not list(here.rglob("ran"))
 
 
-WRONG = {
-    "run=[./absent, '{left}']": "program: ./absent: no such program",
-    "run=[python, '{zzzz}']": "no placeholder {zzzz}; there are: left, right, max_disparity",
-    "run=[python, '{']": "a brace is written",
-    "run=[python, '{max_disparity:03}']": "no placeholder",
-    "timeout=10 parsecs": "timeout: expected a time",
-    "parameters.left=3": "'left' cannot be the name of a parameter",
-    "shell=true": "sh, -c, ",
-    "run=[bash, -ec, 'echo \"{name}\"']": "DEPTHCLI_NAME",
-}
-
-
-@pytest.mark.parametrize("setting", WRONG)
-def test_what_is_wrong_with_a_config_is_said_before_any_scene_is_opened(here: Path, made_scenes: Path, tool, setting):
-    assert WRONG[setting] in tool.err(2, "stereo", "sgbm.yaml", "-i", made_scenes, "-o", "run", "--set", setting)
+def test_what_is_wrong_with_a_config_is_said_before_any_scene_is_opened(here: Path, made_scenes: Path, tool):
+    for setting in (
+        "run=[./absent, '{left}']", "run=[python, '{zzzz}']", "run=[python, '{']", "run=[python, '{max_disparity:03}']",
+        "timeout=10 parsecs", "parameters.left=3", "shell=true", "run=[bash, -ec, 'echo \"{name}\"']",
+    ):  # fmt: skip
+        tool.told(2, "stereo", "sgbm.yaml", "-i", made_scenes, "-o", "run", "--set", setting)
     assert not (here / "run").exists()
 
 
@@ -296,10 +283,8 @@ while not Path("child").is_file():
 @pytest.mark.slow
 @pytest.mark.parametrize("end", ["time.sleep(300)", ""], ids=["hangs", "leaves a child"])
 def test_a_program_ends_with_all_its_children(tmp_path: Path, end: str):
-    try:
+    with pytest.raises(ProgramError, match="was ended after 1 s") if end else nullcontext():
         run(tmp_path, CHILD + end, timeout=1.0)
-    except ProgramError as error:
-        assert end and "was ended after 1 s; see timeout" in str(error)
     assert ends(int((tmp_path / "child").read_text()))
 
 

@@ -116,34 +116,29 @@ def test_tiles_cover_the_image_once_and_search_all_candidates():
 def test_the_costs_of_a_tile_are_parts_of_the_costs_of_the_pair(cost):
     pair, stages, top = blocky_pair(30, 40), CostStages(cost=cost, optimization="scanline"), 25
     whole = stages.volume(pair, top, Clock()).costs
-    spans = (Span(0, 4), Span(9, 5), Span(17, 8))
-    tile = Tile((0, 20), (5, 35), (0, 20, 3, 38), spans)
-    volume, table = tile_by_tile._tile_volume(stages, pair, tile, None, Clock())
-    assert volume.costs.shape == (20, 35, 4 + 5 + 8 + 2)
-    columns, start = np.arange(3, 38), 0
-    for (low, count), row in zip(spans, table.tolist(), strict=True):
-        assert row == [start, count, low]
-        cells, expected = volume.costs[:, :, start : start + count], whole[:20, 3:38, low : low + count]
-        # The tile's right image has the matches of all its columns at the span's first disparity.
-        edge = stages.cost.halo()
-        match = columns[:, None] - (low + np.arange(count))
-        inside = (match >= max(0, 3 - low) + edge) & (match < 38 - low - edge)
-        inside[:edge] = inside[len(inside) - edge :] = False
-        rows = slice(edge, 20 - edge)
-        np.testing.assert_array_equal(cells[rows, inside], expected[rows, inside])
-        start += count + 1
-    barriers = volume.costs[:, :, [4, 10]]
-    assert (barriers == (255 if volume.costs.dtype == np.uint8 else 1e4)).all()
+    tile = Tile((0, 20), (5, 35), (0, 20, 3, 38), (Span(0, 4), Span(9, 5), Span(17, 8)))
     half = (15, 20)
     low, high = (np.full(half, d, np.int16) for d in (2, 10))
     prior = Prior(np.zeros(half, np.float32), Candidates.everywhere((30, 40), top), low, high, np.zeros((2, *half)), 2)
-    penalized, _ = tile_by_tile._tile_volume(stages, pair, tile, prior, Clock())
-    penalty = max(1, round(0.2 * stages.optimization.p1 * volume.scale))
-    for (first, count), (at, *_) in zip(spans, table.tolist(), strict=True):
-        disparities = np.arange(first, first + count)
+    (volume, table), (penalized, _) = (
+        tile_by_tile._tile_volume(stages, pair, tile, each, Clock()) for each in (None, prior)
+    )
+    assert volume.costs.shape == (20, 35, 4 + 5 + 8 + 2)
+    assert table.tolist() == [[0, 4, 0], [5, 5, 9], [11, 8, 17]]
+    barrier = 255 if volume.costs.dtype == np.uint8 else 1e4
+    assert (volume.costs[:, :, [4, 10]] == barrier).all()
+    penalty, edge = max(1, round(0.2 * stages.optimization.p1 * volume.scale)), stages.cost.halo()
+    rows = slice(edge, 20 - edge)
+    for start, count, first in table.tolist():
+        disparities, cells = np.arange(first, first + count), volume.costs[:, :, start : start + count]
+        # The tile's right image has the matches of all its columns at the span's first disparity.
+        match = np.arange(3, 38)[:, None] - disparities
+        inside = (match >= max(0, 3 - first) + edge) & (match < 38 - first - edge)
+        inside[:edge] = inside[35 - edge :] = False
+        np.testing.assert_array_equal(cells[rows, inside], whole[:20, 3:38, disparities][rows, inside])
         added = np.where((disparities < 2) | (disparities > 10), penalty, 0)
-        expected = np.minimum(volume.costs[:, :, at : at + count].astype(float) + added, barriers[0, 0, 0])
-        np.testing.assert_allclose(penalized.costs[:, :, at : at + count], expected, rtol=1e-6)
+        expected = np.minimum(cells.astype(float) + added, barrier)
+        np.testing.assert_allclose(penalized.costs[:, :, start : start + count], expected, rtol=1e-6)
 
 
 TOLERANT = {"method": "combined", "parts": [
@@ -202,8 +197,7 @@ def test_fusion_in_tiles(small_levels):
     fusion = Fusion.model_validate({"measures": ["census", "absolute_difference"], "confidence": ["consensus"]})
     made, pair = generated(1, (200, 150), 32)
     result = match_in_tiles(fusion, pair, 32, PROCESS_BYTES + (80 << 20))
-    assert wrong(result, made) < 0.15
-    assert result.confidence["consensus"].shape == made.disparity_left.shape
+    assert wrong(result, made) < 0.15 and result.confidence["consensus"].shape == pair.shape
 
 
 def test_thin_things_are_found_although_small_images_lose_them(small_levels, monkeypatch):
@@ -256,8 +250,8 @@ def test_speckles_as_large_as_thin_structures_go_but_for_these():
     stays, goes, small = np.s_[4:7, 4:7], np.s_[4:7, 20:23], np.s_[14:16, 4:6]  # more than 4 pixels, or not
     found.left[stays] = found.left[goes] = found.left[small] = 15
     image, half = np.zeros((24, 32, 3), np.uint8), np.zeros((12, 16), np.int16)
-    thin = np.full((2, *half.shape), 1000, np.float32)  # none
-    thin[:, :5, :6] = np.reshape([14, 15], (2, 1, 1))
+    thin = np.full((2, 12, 16), 1000, np.float32)  # none
+    thin[0, :5, :6], thin[1, :5, :6] = 14, 15
     prior = Prior(half.astype(np.float32), Candidates.__new__(Candidates), half, half, thin, 2)
     refined = refined_map([SpeckleFilter(size=4)], found, StereoPair(image, image), 31, prior)
     removed = np.zeros((24, 32), bool)

@@ -1,19 +1,21 @@
 """The OpenCV peers: padded, cropped, and brought into our maps."""
 
+from functools import partial
+
 import cv2
 import numpy as np
 import pytest
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.methods.stereo.pipeline.opencv_bm import OpencvBm
-from depthcli.methods.stereo.pipeline.opencv_sgbm import OpencvSgbm
 from depthcli.testing.inputs import changed, shifted_pair
 from tests.contracts.checks import pairs_of_any_size_have_values_within_the_range_or_a_reason
+from tests.contracts.inputs import part
 
+sgbm, bm = (partial(part, "methods.stereo.pipeline", f"opencv_{name}") for name in ("sgbm", "bm"))
 PEERS = {
-    "sgbm": OpencvSgbm(), "hh": OpencvSgbm(mode="hh", fill=False), "3way-wls": OpencvSgbm(mode="3way", block=3, wls={}),
-    "bm": OpencvBm(), "bm-wls": OpencvBm(wls={}),
+    "sgbm": sgbm(), "hh": sgbm(mode="hh", fill=False), "3way-wls": sgbm(mode="3way", block=3, wls={}),
+    "bm": bm(), "bm-wls": bm(wls={}),
 }  # fmt: skip
 
 
@@ -36,13 +38,11 @@ def test_holes_are_mismatches_and_fills_keep_the_reason():
     right = pair.right.copy()
     right[20:40, 50:80] = np.random.default_rng(9).integers(0, 256, (20, 30, 3))
     pair = StereoPair(pair.left, right)
-    holes = OpencvSgbm(fill=False)(pair, 20).disparity
-    filled = OpencvSgbm()(pair, 20).disparity
+    penalties = {"p1": 8 * 3 * 5**2, "p2": 32 * 3 * 5**2}  # the default: for each channel
+    holes, filled, by_hand = (sgbm(**fields)(pair, 20).disparity for fields in ({"fill": False}, {}, penalties))
     empty = ~holes.valid
-    assert empty[20:40, 60:80].any()
-    assert filled.density == 1
+    assert empty[20:40, 60:80].any() and filled.density == 1
     assert np.all(holes.status[empty] & (Status.MISMATCH | Status.OUT_OF_RANGE))
     np.testing.assert_array_equal(filled.status[empty], holes.status[empty] | Status.FILLED)
     np.testing.assert_array_equal(filled.values[~empty], holes.values[~empty])
-    by_hand = OpencvSgbm(p1=8 * 3 * 5**2, p2=32 * 3 * 5**2)(pair, 20).disparity  # for each channel
     np.testing.assert_array_equal(filled.values, by_hand.values)

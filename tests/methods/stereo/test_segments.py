@@ -41,11 +41,6 @@ def _matches(*points):
     return Matches(index, index, x, y, d, np.zeros(len(x), np.float32))
 
 
-def _planes(*rows):
-    count = len(rows)
-    return SegmentPlanes(np.array(rows, float), np.arange(count, 0, -1), np.zeros((count, 2)))
-
-
 @pytest.mark.parametrize("radius", [0, 1, 3, 12])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 def test_window_stays_inside_the_segment(radius, dtype):
@@ -101,40 +96,39 @@ def test_key_points_that_disagree_with_their_neighbors_are_dropped():
 
 
 def test_ransac_finds_the_plane_among_outliers_and_any_order():
-    rng = np.random.default_rng(1)
-    y, x = np.mgrid[:30, :40]
+    rng, (y, x) = np.random.default_rng(1), np.mgrid[:30, :40]
     values = (0.1 * x - 0.05 * y + 7).astype(np.float32)
     wild = rng.random(values.shape) < 0.4
     values[wild] = rng.uniform(0, 20, wild.sum())
-    labels = np.zeros((30, 40), np.int32)
-    labels[:, 20:] = 1
-    planes = FIT(values, RegionPixels.of(labels), np.array([0, 1]))
+    halves = RegionPixels.of((x // 20).astype(np.int32))
+    planes, backwards = (FIT(values, halves, np.array(order)) for order in ([0, 1], [1, 0]))
     assert np.allclose(planes.coefficients, [0.1, -0.05, 7], atol=0.02)
     assert np.all(planes.support >= 0.58 * 600)
-    backwards = FIT(values, RegionPixels.of(labels), np.array([1, 0]))
     assert np.array_equal(backwards.coefficients[::-1], planes.coefficients)
 
 
 def test_near_duplicates_are_dropped_and_represented():
-    planes = _planes((0, 0, 5), (0.001, 0, 5.1), (0, 0, 9), (0.5, 0, 5))
+    rows = np.array([(0, 0, 5), (0.001, 0, 5.1), (0, 0, 9), (0.5, 0, 5)])
+    planes = SegmentPlanes(rows, np.arange(4, 0, -1), np.zeros((4, 2)))
     kept, stands_for = planes.distinct(0.01, 0.25, 10)
     assert kept.coefficients.tolist() == [[0, 0, 5], [0, 0, 9], [0.5, 0, 5]]
     assert stands_for.tolist() == [0, 0, 1, 2]
     assert planes.distinct(0.01, 0.25, 1)[1].tolist() == [0, 0, -1, -1]
 
 
+TRUSTED = (np.random.default_rng(3).random((9, 12)) < 0.6) & (_labels() != 3)
+ROWS = [(0.1, 0.0, 2.0), (0.0, 0.2, 1.0), (0.0, 0.0, 9.0)]
+MEMBERS = RegionPixels.of(_labels(), TRUSTED, 4)
+
+
 @pytest.mark.parametrize("truncation", [np.inf, 1.5])
 @pytest.mark.parametrize("weighted", [False, True])
 def test_discrepancy_is_equation_2_9(truncation, weighted):
-    rng = np.random.default_rng(3)
+    rng, unary = np.random.default_rng(3), np.zeros((4, 3))
     values = rng.uniform(0, 6, (9, 12)).astype(np.float32)
-    trusted = rng.random((9, 12)) < 0.6
-    trusted[_labels() == 3] = False
-    rows = [(0.1, 0.0, 2.0), (0.0, 0.2, 1.0), (0.0, 0.0, 3.0)]
-    members, unary = RegionPixels.of(_labels(), trusted, 4), np.zeros((4, 3))
     weights = rng.uniform(0.2, 1, (9, 12)).astype(np.float32) if weighted else np.ones((1, 1), np.float32)
-    run_bands(energy.discrepancy, 64, unary, values, weights, *members, np.array(rows), 10.0, min(truncation, 1e6))
-    expected = naive.discrepancy(values, trusted, _labels(), rows, 10.0, truncation, np.broadcast_to(weights, (9, 12)))
+    run_bands(energy.discrepancy, 64, unary, values, weights, *MEMBERS, np.array(ROWS), 10.0, min(truncation, 1e6))
+    expected = naive.discrepancy(values, TRUSTED, _labels(), ROWS, 10.0, truncation, np.broadcast_to(weights, (9, 12)))
     assert np.allclose(unary, expected, rtol=1e-4)
     assert np.all(unary[3] == 0)  # nothing trusted: any plane
 
@@ -151,15 +145,11 @@ def test_pixels_without_a_clear_winner_weigh_less():
 
 @pytest.mark.parametrize("with_agreement", [False, True])
 def test_matching_cost_sums_the_volume(with_agreement):
-    rng = np.random.default_rng(4)
+    rng, unary = np.random.default_rng(4), np.ones((4, 3))
     costs = rng.integers(0, 200, (9, 12, 6)).astype(np.uint8)
-    trusted = rng.random((9, 12)) < 0.6
-    rows = [(0.1, 0.0, 2.0), (0.0, 0.0, 5.0), (0.0, 0.0, 9.0)]
-    members = RegionPixels.of(_labels(), trusted, 4)
     values = rng.integers(0, 6, (9, 12)).astype(np.float32) if with_agreement else np.empty((0, 0), np.float32)
-    expected = naive.matching_cost(costs, trusted, _labels(), rows, values if with_agreement else None)
-    unary = np.ones((4, 3))
-    run_bands(energy.matching_cost, 64, unary, costs, values, *members, np.array(rows), 1.5)
+    expected = naive.matching_cost(costs, TRUSTED, _labels(), ROWS, values if with_agreement else None)
+    run_bands(energy.matching_cost, 64, unary, costs, values, *MEMBERS, np.array(ROWS), 1.5)
     assert np.allclose(unary, 1 + expected * 1.5)
 
 
@@ -256,11 +246,9 @@ def test_generated_planes_come_out_with_details_on_request(tmp_path):
 
 
 def test_a_uniform_image_has_no_values():
-    flat = np.full((40, 60, 3), 90, np.uint8)
-    result = _preset(details=True)(StereoPair(flat, flat.copy()), 8)
+    result = _preset(details=True)(StereoPair(*np.full((2, 40, 60, 3), 90, np.uint8)), 8)
     assert result.figures["segments"] == 1 and result.figures["keypoints"] == 0
-    assert np.isnan(result.disparity.values).all()
-    assert np.all(result.disparity.status & Status.NO_DATA)
+    assert np.isnan(result.disparity.values).all() and np.all(result.disparity.status & Status.NO_DATA)
 
 
 @pytest.mark.parametrize("name", ["segments", "ch2-kp-dedc", "ch2-kp", "ch2-dedc", "ch2-baseline"])
