@@ -1,7 +1,9 @@
-"""Sparsification, ranks, paired comparison and error pictures."""
+"""Sparsification, calibration, ranks, paired comparison, and what is said of runs: never more than the test shows."""
 
 import itertools
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import rankdata
 
-from depthcli.evaluation.curves import PERCENTAGES, sparsification
-from depthcli.evaluation.statistics import average_ranks, compare, holm, smallest_p
+from depthcli.evaluation import curves
+from depthcli.evaluation.curves import PERCENTAGES, reliability, sparsification
+from depthcli.evaluation.map_files import DisparityFiles
+from depthcli.evaluation.protocols.registration import ExpectedErrorFiles
+from depthcli.evaluation.statistics import Ranking, average_ranks, compare, compare_all, holm, smallest_p
+from depthcli.io.formats.images import read_grey, write_png
+from tests.files import laid
 from tests.golden import refused
 from tests.naive import metrics as naive
+
+NINE = [float(k) for k in range(1, 10)]
 
 
 @given(st.lists(st.tuples(st.integers(0, 2), st.booleans()), min_size=1, max_size=6))
@@ -89,3 +98,108 @@ def test_holm():
     assert holm([0.01, 0.04, 0.03, math.nan]) == pytest.approx([0.03, 0.06, 0.06, math.nan], nan_ok=True)
     assert holm([0.9, 0.8]) == [1.0, 1.0]
     assert (smallest_p(4, 1), smallest_p(4, 2), smallest_p(6, 1), smallest_p(1, 3)) == (0.125, 0.25, 0.03125, 1.0)
+
+
+@pytest.mark.parametrize(("others", "said", "words"), [
+    ({"b": [v + 1 + v / 99 for v in NINE]}, "a is significantly better than b.", ["best", "worse"]),
+    ({"b": [v + (-1) ** k * k for k, v in enumerate(NINE, 1)]}, "No significant difference", ["best", "not sig"]),
+    # One scene decides the mean; on all others b is better.
+    ({"b": [0.9, *(v - 0.1 * v for v in NINE[1:8]), 99.0], "c": NINE}, "No significant", ["best", "not", "not"]),
+    ({"b": [v - 0.1 * v for v in NINE]}, "In most scenes b is significantly better", ["best", "better in most"]),
+    ({name: [v + 1 + k / 7 + v / 99 for v in NINE] for k, name in enumerate("bc")},
+     "a is significantly better than every other run.", ["best", "worse", "worse"]),
+    ({"b": [math.nan] * 9}, "No scene has a map of two runs", ["best", "no common scene"]),
+])  # fmt: skip
+def test_verdicts(others: dict[str, list[float]], said: str, words: list[str]):
+    ranking = Ranking(["a", *others], {"a": NINE, **others})
+    assert ranking.verdict().startswith(said)
+    assert all(ranking.word(run).startswith(word) for run, word in zip(["a", *others], words, strict=True))
+    for run in others:
+        assert ranking.is_significant(run) == (ranking.word(run) in ("worse", "better in most"))
+
+
+def test_the_verdict_follows_the_rank_beside_it():
+    worse = {"a": NINE, "b": [v + 1 + v / 99 for v in NINE]}
+    assert [Ranking("ab", worse, {"a": 1.2, "b": 1.8}).word(run) for run in "ab"] == ["best", "worse"]
+    ranking = Ranking("ab", worse, {"a": 1.8, "b": 1.2})
+    assert [ranking.word(run) for run in "ab"] == ["best figure", "better in most"]
+
+
+def test_all_pairs_are_corrected_together():
+    scores = {name: [v + k + k * v / 99 for v in NINE] for k, name in enumerate("abc")}
+    pairs = compare_all(scores)
+    assert [pair[:2] for pair in pairs] == [("a", "b"), ("a", "c"), ("b", "c")]
+    assert [test.losses for _, _, test, _ in pairs] == [9, 9, 9]
+    assert [p for *_, p in pairs] == holm([test.p_value for _, _, test, _ in pairs])
+
+
+@pytest.mark.parametrize(("scenes", "runs", "enough"), [(4, 1, 6), (1, 1, 6), (6, 2, 7), (6, 9, 9)])
+def test_few_scenes_are_said_to_be_too_few(scenes: int, runs: int, enough: int):
+    names = ["a", *(f"r{k}" for k in range(runs))]
+    few, full = (
+        Ranking(names, {name: [v + 9 * k + k * v / 99 for v in NINE[:count]] for k, name in enumerate(names)})
+        for count in (scenes, enough)
+    )
+    assert "no difference can be significant" in few.verdict() and few.word("r0") == "too few scenes"
+    assert few.verdict().endswith(f"it takes {enough} scenes.")
+    assert full.is_significant("r0")
+
+
+def test_confidence_beside_a_map(tmp_path: Path):
+    """A measure called probability is not that of the map; of a registration, the confidence is a plane."""
+    names = ("confidence", "probability", "confidence_probability", "confidence_pkr")
+    laid(tmp_path, dict.fromkeys(("disp_left.pfm", *(f"{name}.pfm" for name in names)), b""))
+    found = DisparityFiles().planes(tmp_path / "disp_left.pfm")
+    assert found == {"pkr" if name == "confidence_pkr" else name: tmp_path / f"{name}.pfm" for name in names}
+    laid(tmp_path, {"expected_error.nii.gz": b"", "confidence.nii.gz": b""})
+    found = ExpectedErrorFiles(("expected_error",), (".nii.gz",)).planes(tmp_path / "expected_error.nii.gz")
+    assert found == {"confidence": tmp_path / "confidence.nii.gz"}
+
+
+def test_expected_calibration_error_by_hand():
+    found = reliability(np.array([0.91, 0.93, 0.12, 1.0, 0.11]), np.array([True, False, False, True, False]))
+    # Bins [.9, .95): mean .92, half right; [.1, .15): mean .115, none right; [.95, 1]: 1, all right.
+    assert found.ece == pytest.approx((2 * 0.42 + 2 * 0.115 + 0) / 5)
+    assert (found.pixels[18], found.right[18]) == (2, 0.5) and math.isnan(found.right[0])
+
+
+def test_pooled_is_that_of_all_pixels_together():
+    rng = np.random.default_rng(1)
+    p, right = rng.random(1000), rng.random(1000) < 0.6
+    pooled, whole = (
+        curves.Reliability.pooled(reliability(p[k::3], right[k::3]) for k in range(3)),
+        reliability(p, right),
+    )
+    assert pooled.pixels == whole.pixels
+    assert pooled.ece == pytest.approx(whole.ece)
+
+
+def test_hidden_pixels_by_hand():
+    known = np.array([[1, 1, 1, 1, 1, 0]], bool)
+    status = np.array([[1, 4, 1, 0, 0, 1]], np.uint8)  # occluded, or out of range
+    found = curves.hidden_pixels(status, {"all": known, "nonocc": np.array([[0, 1, 1, 0, 1, 0]], bool)})
+    assert found == curves.HiddenPixels(both=1, marked=3, true=2, pixels=5)
+    shares = found.shares()
+    expected = {"precision": 33.33, "recall": 50, "F1": 40, "said": 60, "true": 40}
+    assert {name: round(shares[name], 2) for name in expected} == expected
+    assert curves.HiddenPixels.pooled([found, found]).marked == 6
+    assert math.isnan(curves.HiddenPixels(0, 0, 0, 4).shares()["precision"])
+
+
+def test_evaluate_reads_confidence_and_status(made_scenes: Path, tmp_path: Path, tool):
+    name = "curved_0"
+    visible = read_grey(made_scenes / name / "mask_nonocc.png") == 255
+    maps = {"disp_left": 5, "confidence": 0.25, "confidence_da": 0.5}  # which is a share, no probability
+    folder = laid(tmp_path / "run" / name, {f"{k}.pfm": np.full(visible.shape, v, np.float32) for k, v in maps.items()})
+    write_png(folder / "status.png", np.where(visible, 0, [1, 4] * (visible.shape[1] // 2)).astype(np.uint8))
+    words = ["evaluate", tmp_path / "run", "--truth", made_scenes, "--scenes", name, "-o", tmp_path / "out", "--html"]
+    assert "Hidden pixels" in tool.out(0, *words, "--tables", "confidence,hidden")
+    (result,) = json.loads((tmp_path / "out" / "scores.json").read_text())["results"]
+    assert result["hidden"]["F1"] == 100
+    curve = next(c for c in result["confidence"] if (c["measure"], c["mask"], c["of"]) == ("confidence", "all", "bad"))
+    assert curve["ece"] == pytest.approx(abs(0.25 - (1 - curve["mean"])), abs=1e-6)
+    assert all(c["reliability"] is None for c in result["confidence"] if c["measure"] == "da")
+    assert {c["of"] for c in result["confidence"] if c["measure"] == "da"} == {"bad", "error"}
+    assert "Reliability, all" in (tmp_path / "out" / "report.html").read_text("utf-8")
+    (folder / "status.png").write_bytes(b"damaged")
+    tool.told(0, *words)

@@ -1,5 +1,6 @@
 """What decoders give is compared with the header: values of every layout of samples, or one clear line."""
 
+import sys
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import color8
 from depthcli.io.formats.disparity import read_mask, read_plane
 from depthcli.io.formats.files import collected_warnings
-from depthcli.io.formats.images import read_color8, read_grey, read_image, read_pair, write_png
+from depthcli.io.formats.images import image_size, read_color8, read_grey, read_image, read_pair, write_png
 from depthcli.problems.inputs import as_color8
 from tests.golden import refused, warned
 
@@ -141,3 +142,42 @@ def test_codes_of_which_zero_is_white_are_refused(tmp_path: Path):
 def test_big_tiff_in_either_order(tmp_path: Path):
     np.testing.assert_array_equal(read_image(stored(tmp_path, RGB, photometric="rgb", bigtiff=True)), RGB)
     refused(InputError, read_image, stored(tmp_path, RGB, photometric="rgb", bigtiff=True, byteorder=">"))
+
+
+VALUES = np.random.default_rng(0).uniform(0.5, 3, (5, 7)).astype(np.float32)
+
+
+def exr(folder: Path, **channels: np.ndarray) -> Path:
+    OpenEXR = pytest.importorskip("OpenEXR")
+    path = folder / "a.exr"
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {name.replace("_", "."): values for name, values in channels.items()}).write(str(path))
+    return path
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+@pytest.mark.parametrize("names", [("Z",), ("V",), ("R", "G", "B"), ("R", "G", "B", "A"), ("Depth_V",)])
+def test_one_channel_of_values_of_an_exr(tmp_path: Path, dtype, names):
+    values = VALUES.astype(dtype)
+    channels = {name: np.ones_like(values) if name == "A" else values for name in names}
+    path = exr(tmp_path, **channels)
+    found, lines = warned(read_plane, path)
+    np.testing.assert_array_equal(found, values)
+    assert not lines and image_size(path) == (5, 7)
+
+
+def test_the_channels_that_are_left_out_are_named_and_guesses_refused(tmp_path: Path):
+    path = exr(tmp_path, R=VALUES, G=VALUES + 1, B=VALUES + 2, Z=VALUES + 3)
+    found, lines = warned(read_plane, path)
+    np.testing.assert_array_equal(found, VALUES + 3)
+    assert "a.exr: its channel 'Z' is read" in lines[0] and "G" in lines[0]
+    refused(InputError, read_plane, exr(tmp_path, R=VALUES, G=VALUES + 1, B=VALUES))
+    refused(InputError, read_image, path)
+    path.write_bytes(path.read_bytes()[:200])
+    refused(InputError, read_plane, path)
+
+
+def test_without_the_library_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = exr(tmp_path, Z=VALUES)
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
+    refused(InputError, read_plane, path)
