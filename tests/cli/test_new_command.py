@@ -8,20 +8,19 @@ import json
 import os
 import re
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from depthcli.core.frames import StereoPair
 from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.testing.inputs import shifted_pair
+from tests.command_line import ended
 
 ROOT = Path(__file__).parents[2]
-NEW = Path(__file__).parent / "new_files"
+CACHES = shutil.ignore_patterns("__pycache__")
 TEMPLATE = ROOT / "docs" / "plugin_template" / "depthcli_example"
 SQUARED = """\
 pipeline: local
@@ -30,14 +29,8 @@ aggregation: {method: constant_window, window: 3}
 refinement: []
 confidence: [spread]
 """
-
 LAYOUT = """\
-two-files:
-  left: first.*
-  right: second.*
-  disparity_left: first_truth.*
-  max_disparity: 12
-  protocol: eighth-pixel
+two-files: {left: first.*, right: second.*, disparity_left: first_truth.*, max_disparity: 12, protocol: eighth-pixel}
 """
 IN = ("-i", "in", "--layout", "two.yaml")
 
@@ -49,9 +42,9 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the package with the new files in it, and two pairs of the new layout."""
     root = tmp_path_factory.mktemp("checkout")
     for name in ("depthcli", "configs"):
-        shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / name, root / name, ignore=CACHES)
     shutil.copy(ROOT / "pyproject.toml", root)
-    shutil.copytree(NEW, root / "depthcli", dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(Path(__file__).parent / "new_files", root / "depthcli", dirs_exist_ok=True, ignore=CACHES)
     shutil.copy(TEMPLATE / "command.py", root / "depthcli" / "commands" / "constant.py")
     (root / "two.yaml").write_text(LAYOUT)
     shutil.copytree(TEMPLATE / "presets" / "constant", root / "configs" / "constant")
@@ -61,41 +54,32 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (root / "squared.yaml").write_text(SQUARED)
     for name, shift in (("near", 9), ("far", 5)):
         pair = shifted_pair(48, 64, shift)
-        assert isinstance(pair, StereoPair)
         write_pfm(root / "in" / name / "first_truth.pfm", np.full((48, 64), shift, np.float32))
         write_png(root / "in" / name / "first.png", pair.left)
         write_png(root / "in" / name / "second.png", pair.right)
     return root
 
 
-def run(checkout: Path, *arguments: str | Path, module: str = "depthcli") -> subprocess.CompletedProcess[str]:
+def run(checkout: Path, *words: str | Path) -> str:
     environment = os.environ | {"PYTHONPATH": str(checkout)}
-    command = [sys.executable, "-m", module, *map(str, arguments)]
-    return subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True, check=False)
+    return ended(0, sys.executable, *words, cwd=checkout, env=environment).stdout
 
 
 def test_they_are_shown_and_run_as_any_other_and_the_protocol_ranks_the_runs(checkout: Path):
     code = "from depthcli.cli import main; [main(w.split()) for w in ('--help', 'presets', 'presets show five')]"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=checkout, env=os.environ | {"PYTHONPATH": str(checkout)},
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert "constant Write the same disparity everywhere." in " ".join(done.stdout.split())
-    assert re.search(r"^constant five +Five pixels everywhere", done.stdout, re.M)
-    assert "# disparity of every pixel, pixels\ndisparity: 5.0" in done.stdout
-    done = run(checkout, "constant", "five", *IN, "-o", "constant", "--jobs", "2", "--evaluate")
-    assert done.returncode == 0, done.stderr
-    assert "Eighth of a pixel" in done.stdout
+    shown, tool = run(checkout, "-c", code), ("-m", "depthcli")
+    assert "constant Write the same disparity everywhere." in " ".join(shown.split())
+    assert re.search(r"^constant five +Five pixels everywhere", shown, re.M)
+    assert "# disparity of every pixel, pixels\ndisparity: 5.0" in shown
+    words = ("constant", "five", *IN, "-o", "constant", "--jobs", "2", "--evaluate")
+    assert "Eighth of a pixel" in run(checkout, *tool, *words)
     assert np.all(read_pfm(checkout / "constant" / "near" / "disp_left.pfm") == 5)
-    done = run(checkout, "stereo", "squared.yaml", *IN, "-o", "squared")
-    assert done.returncode == 0, done.stderr
+    run(checkout, *tool, "stereo", "squared.yaml", *IN, "-o", "squared")
     assert np.isfinite(read_pfm(checkout / "squared" / "near" / "confidence_spread.pfm")).all()
     assert np.mean(read_pfm(checkout / "squared" / "near" / "disp_left.pfm")[:, 9:] == 9) > 0.95
-    compared = run(checkout, "evaluate", "squared", "constant", "--truth", *IN[1:], "-o", "report")
-    assert compared.returncode == 0, compared.stderr
+    run(checkout, *tool, "evaluate", "squared", "constant", "--truth", *IN[1:], "-o", "report")
     document = json.loads((checkout / "report" / "scores.json").read_text())
-    assert document["runs"] == ["squared", "constant"]
-    assert "eighth-pixel" in json.dumps(document)
+    assert document["runs"] == ["squared", "constant"] and "eighth-pixel" in json.dumps(document)
 
 
 @pytest.mark.system
@@ -103,5 +87,4 @@ def test_they_pass_the_tests_of_their_families(checkout: Path):
     shutil.copytree(ROOT / "tests", checkout / "tests", ignore=shutil.ignore_patterns("__pycache__", "new_files"))
     files = ("contracts/test_families", "evaluation/test_protocols", "report/test_plots")
     options = ("-q", "-p", "no:cacheprovider", "--renew")  # the new members have no messages yet
-    done = run(checkout, *options, *(f"tests/{name}.py" for name in files), module="pytest")
-    assert done.returncode == 0, done.stdout[-3000:]
+    run(checkout, "-m", "pytest", *options, *(f"tests/{name}.py" for name in files))

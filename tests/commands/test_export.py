@@ -4,16 +4,17 @@ import json
 import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from depthcli.cli import main
 from depthcli.evaluation.benchmarks import BENCHMARKS, TEST, TRAINING
 from depthcli.io.formats.disparity import read_disparity, write_pfm
+from tests.command_line import run
 from tests.golden import told
 
-V3, ETH, K12, K15 = (BENCHMARKS[name] for name in ("middlebury-v3", "eth3d", "kitti-2012", "kitti-2015"))
+V3, ETH, K15 = (BENCHMARKS[name] for name in ("middlebury-v3", "eth3d", "kitti-2015"))
 
 
 def run_of(folder: Path, scenes: Iterable[str], size: Callable[[str], int], prefix: str = "", **facts: object) -> Path:
@@ -32,90 +33,87 @@ def quarter(scene: str) -> int:
     return {"ArtL": 1388, "Computer": 1328, "Teddy": 1800}.get(scene, 2800) // 4
 
 
-def export(run: Path, name: str, target: Path, *more: str) -> int:
-    return main(["export", str(run), "--for", name, "--method", "OUR-1", "-o", str(target), "-q", *more])
+def line(run: Path, name: str, target: Path, *more: str) -> tuple[str | Path, ...]:
+    return ("export", run, "--for", name, "--method", "OUR-1", "-o", target, "-q", *more)
+
+
+def export(*words: Any) -> int:
+    return run(*line(*words))
 
 
 def test_middlebury(tmp_path: Path):
-    run = run_of(tmp_path / "run", [*V3.scenes[TRAINING], *V3.scenes[TEST]], quarter)
-    assert export(run, "middlebury-v3", tmp_path / "a.zip") == 0
-    with zipfile.ZipFile(tmp_path / "a.zip") as archive:
+    made, (a, b, c) = tmp_path / "run", (tmp_path / f"{name}.zip" for name in "abc")
+    run_of(made, [*V3.scenes[TRAINING], *V3.scenes[TEST]], quarter)
+    assert export(made, "middlebury-v3", a) == 0
+    with zipfile.ZipFile(a) as archive:
         assert float(archive.read("testQ/Plants/timeOUR-1.txt")) == 1.25
         archive.extractall(tmp_path / "out")
-    number = V3.scenes[TRAINING].index("Teddy")
     values = read_disparity(tmp_path / "out" / "trainingQ" / "Teddy" / "disp0OUR-1.pfm")
-    assert np.all(values == 20 + number / 256)
-    assert values.shape == (3, 450)
+    assert np.all(values == 20 + V3.scenes[TRAINING].index("Teddy") / 256) and values.shape == (3, 450)
     # Only what was asked for; and the same bytes again.
-    assert export(run, "middlebury-v3", tmp_path / "b.zip", "--split", "training") == 0
-    assert len(zipfile.ZipFile(tmp_path / "b.zip").namelist()) == 30
-    assert export(run, "middlebury-v3", tmp_path / "c.zip") == 0
-    assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "c.zip").read_bytes()
+    assert export(made, "middlebury-v3", b, "--split", "training") == 0
+    assert len(zipfile.ZipFile(b).namelist()) == 30
+    assert export(made, "middlebury-v3", c) == 0
+    assert a.read_bytes() == c.read_bytes()
 
 
-def test_middlebury_refuses_with_all_reasons(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    run = run_of(tmp_path / "run", V3.scenes[TRAINING][:-1], quarter)
+def test_middlebury_refuses_with_all_reasons(tmp_path: Path, tool):
+    made = run_of(tmp_path / "run", V3.scenes[TRAINING][:-1], quarter)
     values = np.full((3, 700), 5, np.float32)
     values[1, 1] = np.nan
-    write_pfm(run / "Piano" / "disp_left.pfm", values)
-    write_pfm(run / "Pipes" / "disp_left.pfm", np.full((3, 1400), 5, np.float32))
-    write_pfm(run / "Recycle" / "disp_left.pfm", np.full((3, 700), -1, np.float32))
-    (run / "Shelves" / "disp_left.pfm").write_bytes(b"no map")
-    assert export(run, "middlebury-v3", tmp_path / "a.zip", "--method", "our name") == 2
-    told(capsys.readouterr().err)
+    maps = {"Piano": values, "Pipes": np.full((3, 1400), 5, np.float32), "Recycle": np.full((3, 700), -1, np.float32)}
+    for name, each in maps.items():
+        write_pfm(made / name / "disp_left.pfm", each)
+    (made / "Shelves" / "disp_left.pfm").write_bytes(b"no map")
+    tool.told(2, *line(made, "middlebury-v3", tmp_path / "a.zip", "--method", "our name"))
     assert not (tmp_path / "a.zip").exists()
 
 
 def test_sparse_maps_are_named_so(tmp_path: Path):
-    run = run_of(tmp_path / "run", V3.scenes[TEST], quarter, prefix="testQ")
+    made, name = run_of(tmp_path / "run", V3.scenes[TEST], quarter, prefix="testQ"), "testQ/Plants/disp0OUR-1_s.pfm"
     values = np.full((3, 700), 5, np.float32)
     values[1, 1] = np.nan
-    write_pfm(run / "testQ" / "Plants" / "disp_left.pfm", values)
-    assert export(run, "middlebury-v3", tmp_path / "a.zip") == 2
-    assert export(run, "middlebury-v3", tmp_path / "a.zip", "--sparse") == 0
+    write_pfm(made / "testQ" / "Plants" / "disp_left.pfm", values)
+    words = (made, "middlebury-v3", tmp_path / "a.zip")
+    assert export(*words) == 2
+    assert export(*words, "--sparse") == 0
     with zipfile.ZipFile(tmp_path / "a.zip") as archive:
-        assert "testQ/Plants/disp0OUR-1_s.pfm" in archive.namelist()
-        archive.extract("testQ/Plants/disp0OUR-1_s.pfm", tmp_path)
-    back = read_disparity(tmp_path / "testQ/Plants/disp0OUR-1_s.pfm")
-    assert np.array_equal(back, values, equal_nan=True)
-    assert export(run, "middlebury-v3", tmp_path / "a.zip", "--sparse") == 2  # it is there
-    assert export(run, "middlebury-v3", tmp_path / "a.zip", "--sparse", "--overwrite") == 0
+        archive.extract(name, tmp_path)
+    assert np.array_equal(read_disparity(tmp_path / name), values, equal_nan=True)
+    assert export(*words, "--sparse") == 2  # it is there
+    assert export(*words, "--sparse", "--overwrite") == 0
 
 
 @pytest.mark.parametrize(("name", "folder", "frames"), [("kitti-2012", "", 195), ("kitti-2015", "disp_0/", 200)])
-def test_kitti(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, folder: str, frames: int):
+def test_kitti(tmp_path: Path, tool, name: str, folder: str, frames: int):
     scenes = BENCHMARKS[name].scenes[TEST]
-    run = run_of(tmp_path / "run", scenes, lambda scene: 12)
-    assert export(run, name, tmp_path / "a.zip") == 0
+    made = run_of(tmp_path / "run", scenes, lambda scene: 12)
+    assert export(made, name, tmp_path / "a.zip") == 0
     with zipfile.ZipFile(tmp_path / "a.zip") as archive:
         assert archive.namelist() == [f"{folder}{n:06d}_10.png" for n in range(frames)]
         (tmp_path / "7.png").write_bytes(archive.read(f"{folder}000007_10.png"))
     assert np.all(read_disparity(tmp_path / "7.png") == 20 + 7 / 256)
-    write_pfm(run / scenes[3] / "disp_left.pfm", np.full((3, 12), 256, np.float32))
-    write_pfm(run / scenes[4] / "disp_left.pfm", np.full((3, 12), np.nan, np.float32))
-    assert export(run, name, tmp_path / "b.zip") == 2
-    told(capsys.readouterr().err)
+    for scene, value in ((scenes[3], 256), (scenes[4], np.nan)):
+        write_pfm(made / scene / "disp_left.pfm", np.full((3, 12), value, np.float32))
+    tool.told(2, *line(made, name, tmp_path / "b.zip"))
 
 
-def test_kitti_takes_no_training_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    run = run_of(tmp_path / "run", K15.scenes[TEST], lambda scene: 12, source="/kitti/training/image_2/000000_10.png")
-    assert export(run, "kitti-2015", tmp_path / "a.zip") == 2
-    lines = capsys.readouterr().err.splitlines()
+def test_kitti_takes_no_training_images(tmp_path: Path, tool):
+    made = run_of(tmp_path / "run", K15.scenes[TEST], lambda scene: 12, source="/kitti/training/image_2/000000_10.png")
+    lines = tool.err(2, *line(made, "kitti-2015", tmp_path / "a.zip")).splitlines()
     told("\n".join(lines[:2]))
-    assert len(lines) == 201 and len({line.partition(": ")[2] for line in lines[1:]}) == 1
+    assert len(lines) == 201 and len({each.partition(": ")[2] for each in lines[1:]}) == 1
 
 
-def test_eth3d_and_maps_of_other_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    run = tmp_path / "run"
+def test_eth3d_and_maps_of_other_programs(tmp_path: Path, tool):
+    made = tmp_path / "run" / "low_res_two_view"
     for scene in ETH.scenes[TEST]:
-        write_pfm(run / "low_res_two_view" / f"{scene}.pfm", np.full((3, 30), 7, np.float32))
-    assert export(run, "eth3d", tmp_path / "a.zip") == 2
-    err = capsys.readouterr().err
+        write_pfm(made / f"{scene}.pfm", np.full((3, 30), 7, np.float32))
+    err = tool.err(2, *line(made.parent, "eth3d", tmp_path / "a.zip"))
     assert "tunnel_1l: no run time" in err and "--seconds" in err
-    assert export(run, "eth3d", tmp_path / "a.zip", "--seconds", "0.5") == 0
+    assert export(made.parent, "eth3d", tmp_path / "a.zip", "--seconds", "0.5") == 0
     with zipfile.ZipFile(tmp_path / "a.zip") as archive:
         assert len(archive.namelist()) == 40
         assert archive.read("low_res_two_view/sand_box_1l.txt") == b"runtime 0.5\n"
-    write_pfm(run / "low_res_two_view" / "tunnel_1l.pfm", np.full((3, 30), 31, np.float32))
-    assert export(run, "eth3d", tmp_path / "b.zip", "--seconds", "0.5") == 2
-    told(capsys.readouterr().err)
+    write_pfm(made / "tunnel_1l.pfm", np.full((3, 30), 31, np.float32))
+    tool.told(2, *line(made.parent, "eth3d", tmp_path / "b.zip", "--seconds", "0.5"))
