@@ -26,28 +26,23 @@ def stereo(scene: Path, *words: str | Path) -> int:
     return run("stereo", "opencv-bm", "-i", scene, "--max-disparity", "16", "-q", *words)
 
 
-@pytest.mark.parametrize(
-    ("command", "keep", "wrong"),
-    [
-        (("stereo", "opencv-bm"), "depth.pfm", "depth.pfm"),
-        (("stereo", "opencv-bm"), "disp_left.pfm,prevew.png", "prevew.png"),
-        (("stereo", "opencv-bm"), "disp_*.pfm,confidence_peak_ratio.pfm", ""),
-        (("fuse", "consensus"), "*.tif", "*.tif"),
-        (("rectify", "--uncalibrated"), "disp_left.pfm", "disp_left.pfm"),
-        (("rectify", "--uncalibrated"), "*.png", ""),
-        (("refine-kinect", "nearest"), "disp_left.pfm", "disp_left.pfm"),
-        (("transparent", "sensor"), "unreliable.pfm", "unreliable.pfm"),
-        (("register-confidence", "planes"), "confidence.nii.gz,eror.nii.gz", "eror.nii.gz"),
-    ],
-)
-def test_keep_names_files_of_the_command(command: tuple[str, ...], keep: str, wrong: str, tmp_path: Path, capsys):
-    folder = tmp_path / "in/a"
+@pytest.mark.parametrize(("command", "keep", "wrong"), [
+    ("stereo opencv-bm", "depth.pfm", "depth.pfm"),
+    ("stereo opencv-bm", "disp_left.pfm,prevew.png", "prevew.png"),
+    ("stereo opencv-bm", "disp_*.pfm,confidence_peak_ratio.pfm", ""),
+    ("fuse consensus", "*.tif", "*.tif"),
+    ("rectify --uncalibrated", "disp_left.pfm", "disp_left.pfm"),
+    ("rectify --uncalibrated", "*.png", ""),
+    ("refine-kinect nearest", "disp_left.pfm", "disp_left.pfm"),
+    ("transparent sensor", "unreliable.pfm", "unreliable.pfm"),
+    ("register-confidence planes", "confidence.nii.gz,eror.nii.gz", "eror.nii.gz"),
+])  # fmt: skip
+def test_keep_names_files_of_the_command(command: str, keep: str, wrong: str, tmp_path: Path, tool):
     for name in ("left", "right", "color", "depth", "fixed", "moving_warped", "mask_transparent"):
-        write_png(folder / f"{name}.png", np.full((20, 30), 900, np.uint16))
-    assert run(*command, "-i", tmp_path / "in", "--keep", keep, "-o", tmp_path / "o", "--dry-run") == (
-        2 if wrong else 0
-    )
-    assert not wrong or f"--keep {wrong}: no file of {command[0]} has that name" in capsys.readouterr().err
+        write_png(tmp_path / "in/a" / f"{name}.png", np.full((20, 30), 900, np.uint16))
+    words = (*command.split(), "-i", tmp_path / "in", "--keep", keep, "-o", tmp_path / "o", "--dry-run")
+    err = tool.err(2 if wrong else 0, *words)
+    assert not wrong or f"--keep {wrong}: no file of {command.split()[0]} has that name" in err
 
 
 def test_a_scene_of_which_no_file_is_kept_fails(scene: Path, tmp_path: Path):
@@ -65,17 +60,14 @@ def test_wrong_variables_are_one_line(scene: Path, tmp_path: Path, monkeypatch, 
         assert f"{name}: expected a whole number" in err and len(err.splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    ("error", "said"),
-    [
-        (MemoryError(), "address space"),
-        (ImportError("x.so: failed to map segment from shared object"), "address space"),
-        (RuntimeError("can't start new thread"), "address space"),
-        (OSError(errno.EMFILE, "Too many open files"), "open files"),
-        (ImportError("a.so: cannot open shared object file: Too many open files"), "open files"),
-        (ValueError("bad"), ""),
-    ],
-)
+@pytest.mark.parametrize(("error", "said"), [
+    (MemoryError(), "address space"),
+    (ImportError("x.so: failed to map segment from shared object"), "address space"),
+    (RuntimeError("can't start new thread"), "address space"),
+    (OSError(errno.EMFILE, "Too many open files"), "open files"),
+    (ImportError("a.so: cannot open shared object file: Too many open files"), "open files"),
+    (ValueError("bad"), ""),
+])  # fmt: skip
 def test_what_a_machine_lacks_is_no_bug(error: Exception, said: str, scene: Path, tmp_path: Path, monkeypatch, capsys):
     """Raised itself, or as the cause of another; on the way to the scenes, and in one."""
     assert said in shortage(error) and bool(said) == bool(shortage(error))
@@ -108,11 +100,10 @@ def test_dry_runs_refuse_what_the_run_refuses(scene: Path, tmp_path: Path, capsy
 
 
 def test_bases_have_the_names_that_presets_show_takes(scene: Path, tmp_path: Path):
-    (tmp_path / "c.yaml").write_text("base: stereo/opencv-bm\n")
-    assert run("stereo", tmp_path / "c.yaml", "-i", scene, "-o", tmp_path / "o", "--dry-run", "-q") == 0
-    assert run("stereo", "stereo/opencv-bm", "-i", scene, "-o", tmp_path / "o", "--dry-run", "-q") == 0
-    (tmp_path / "c.yaml").write_text("base: fuse/opencv-bm\n")
-    assert run("stereo", tmp_path / "c.yaml", "-i", scene, "-o", tmp_path / "o", "--dry-run", "-q") == 2
+    for command, code in (("stereo", 0), ("fuse", 2)):
+        (tmp_path / f"{command}.yaml").write_text(f"base: {command}/opencv-bm\n")
+        for config in (f"{command}/opencv-bm", tmp_path / f"{command}.yaml"):
+            assert run("stereo", config, "-i", scene, "-o", tmp_path / "o", "--dry-run", "-q") == code
 
 
 def test_cells_of_tables_keep_their_line_breaks_and_tabs_separate_them(tmp_path: Path):
@@ -127,13 +118,14 @@ def test_the_mask_of_glass_is_objects(tmp_path: Path, tool):
     color = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
     depth, mask = np.full((48, 64), 1500, np.uint16), np.zeros((48, 64), np.uint8)
     depth[16:32, 20:40], mask[14:34, 18:42] = 2500, 255
-    names = {"color": color, "depth": depth, "mask_transparent": mask}
-    for name, image in names.items():
+    files: list[str | Path] = ["--name", "a"]
+    for option, name, image in (("color", "color", color), ("depth", "depth", depth),
+                                ("objects", "mask_transparent", mask)):  # fmt: skip
         write_png(tmp_path / "in/a" / f"{name}.png", image)
-    one, two, three = (tmp_path / "in/a" / f"{name}.png" for name in names)
-    files = ("--color", one, "--depth", two, "--objects", three, "--name", "a")
+        files += [f"--{option}", tmp_path / "in/a" / f"{name}.png"]
+    folder = ("-i", tmp_path / "in")
     assert run("transparent", "sensor", *files, "-o", tmp_path / "o", "-q") == 0
-    assert run("transparent", "sensor", "-i", tmp_path / "in", "-o", tmp_path / "p", "-q") == 0
+    assert run("transparent", "sensor", *folder, "-o", tmp_path / "p", "-q") == 0
     assert (tmp_path / "o/a/depth.pfm").read_bytes() == (tmp_path / "p/a/depth.pfm").read_bytes()
     tool.told(2, "transparent", "sparse", *files, "-o", tmp_path / "q", "-q")
-    assert run("transparent", "sensor", "-i", tmp_path / "in", "--objects", three, "-o", tmp_path / "q", "-q") == 2
+    assert run("transparent", "sensor", *folder, *files[-2:], "-o", tmp_path / "q", "-q") == 2

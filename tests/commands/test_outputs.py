@@ -60,11 +60,9 @@ def scored(tmp_path: Path) -> list[str]:
         write_pfm(tmp_path / "poor" / name / "disp_left.pfm", np.roll(wrong, k, axis=0))
         write_pfm(tmp_path / "poor" / name / "confidence_pkr.pfm", rng.random((24, 32), np.float32))
         write_pfm(tmp_path / "poor" / name / "bound.pfm", np.float32(0.2) + rng.random((24, 32), np.float32))
+    done = {"status": "done", "width": 32, "height": 24}
+    rows = [{"scene": name, **done, "seconds": {"a": 0.5, "b": 1 + k}} for k, name in enumerate(("a", "b"))]
     for run in ("good", "poor"):
-        rows = [
-            {"scene": name, "status": "done", "seconds": {"a": 0.5, "b": 1 + k}, "width": 32, "height": 24}
-            for k, name in enumerate(("a", "b"))
-        ]
         (tmp_path / run / "report.json").write_text(json.dumps({"scenes": rows}))
     return ["evaluate", str(tmp_path / "good"), str(tmp_path / "poor"), "--truth", str(tmp_path / "set")]
 
