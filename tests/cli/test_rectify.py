@@ -529,7 +529,8 @@ def test_without_calibration(pinhole: Shot, tmp_path: Path, tool):
     noise = np.random.default_rng(0).integers(0, 255, (180, 240), np.uint8)
     write_png(tmp_path / "other.png", cv2.GaussianBlur(noise, (0, 0), 2) * np.uint8(3))
     write_png(tmp_path / "flat.png", np.full((180, 240), 70, np.uint8))
-    for other in ("other.png", "flat.png"):
+    write_png(tmp_path / "smaller.png", read_image(taken.right)[:170])
+    for other in ("other.png", "flat.png", "smaller.png"):
         pair = ("--left", taken.left, "--right", tmp_path / other, "--name", other)
         tool.told(3, "rectify", *pair, "--uncalibrated", "-o", scenes, "-q")
         assert not (scenes / other / "left.png").exists()

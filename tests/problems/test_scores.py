@@ -85,7 +85,7 @@ TRUTH = np.ones((4, 5), np.float32)
 
 @pytest.mark.parametrize("arguments", [
     (TRUTH, TRUTH, "middlebury-v4"), *((TRUTH[:2], TRUTH, *of) for of in ([], ["registration"], ["depth"])),
-    (TRUTH, TRUTH * np.nan), (TRUTH, TRUTH, "depth", {"gap": TRUTH[:3]}),
+    (TRUTH.astype(str), TRUTH), (TRUTH, TRUTH * np.nan), (TRUTH, TRUTH, "depth", {"gap": TRUTH[:3]}),
 ])  # fmt: skip
 def test_what_cannot_be_compared_is_refused(arguments: tuple[Any, ...]):
     refused(depthcli.InputError, depthcli.evaluate, *arguments)

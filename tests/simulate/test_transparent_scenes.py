@@ -8,7 +8,13 @@ from depthcli.io.rgbd_frames import load_sparse_frame, true_depth
 from depthcli.io.scenes import RgbdScene
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.frames import FRAMES
-from depthcli.simulate.transparent_scenes import cross_modal_pair, infrared_like, make_transparent_scene, sparse_samples
+from depthcli.simulate.transparent_scenes import (
+    cross_modal_pair,
+    glass_of_pair,
+    infrared_like,
+    make_transparent_scene,
+    sparse_samples,
+)
 from depthcli.testing.inputs import texture
 from tests.command_line import run
 
@@ -21,6 +27,16 @@ def test_the_sensor_is_right_outside_and_sees_farther_or_nothing_inside():
     assert np.isnan(inside).mean() == pytest.approx(0.5, abs=0.02)
     assert np.nanmedian(inside) < -1 and np.nanmax(inside) < 0.6
     assert 0.03 < scene.mask.mean() < 0.4
+
+
+def test_glass_is_a_surface_in_front_of_its_surroundings():
+    images, disparity = np.full((2, 60, 80), 90, np.uint8), np.full((60, 80), np.nan, np.float32)
+    inside = np.zeros(disparity.shape, bool)
+    inside[20:36, 50:66] = True
+    disparity[inside] = 20
+    assert not np.array_equal(glass_of_pair(*images, disparity).mask, inside)  # nothing is known around it
+    disparity[~inside] = 5
+    assert np.array_equal(glass_of_pair(*images, disparity).mask, inside)
 
 
 @pytest.mark.parametrize("clustered", [False, True])

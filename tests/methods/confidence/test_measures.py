@@ -28,6 +28,15 @@ def test_contract(name, check):
     check(measure(name))
 
 
+def test_a_measure_that_writes_into_the_costs_is_found():
+    def writing(curves):
+        curves.costs[0, 0] //= 2
+        return measure("msm")(curves)
+
+    with pytest.raises(AssertionError):  # in numpy's words
+        confidence.same_at_any_number_of_threads(writing)
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize("n_disparities", [1, 2, 3, 15, 16, 17, 31, 33, 60])
 @pytest.mark.parametrize("levels", [None, 3])

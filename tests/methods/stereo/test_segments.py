@@ -15,7 +15,7 @@ from depthcli.methods.stereo.keypoint_matching import Matches, consistent
 from depthcli.methods.stereo.segments import planes as energy
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, Split, grid_parts, segment_window
 from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges
-from depthcli.methods.stereo.segments.steps import Restoration, map_with_status
+from depthcli.methods.stereo.segments.steps import Restoration, _lines, map_with_status
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.problems.results import write_details
 from depthcli.simulate.stereo_scenes import make_scene
@@ -243,6 +243,14 @@ def test_generated_planes_come_out_with_details_on_request(tmp_path):
     initial, trusted = read_pfm(tmp_path / "initial_disparity.pfm"), pictures["trusted"] == 255
     assert np.mean(np.abs(initial - scene.disparity_left)[trusted & scene.nonocc] <= 1) > 0.95
     assert trusted.mean() == pytest.approx(figures["trusted"])
+
+
+def test_matches_are_lines_to_the_right_image_below():
+    pair = StereoPair(*np.full((2, 20, 60, 3), 90, np.uint8))
+    numbers = np.zeros(1, np.int64)
+    matches = Matches(numbers, numbers, *(np.array([value], np.float32) for value in (40, 4, 30, 0)))
+    drawn = (_lines(pair, matches) != 105).any(axis=2)  # 90 / 2 + 60
+    assert all(drawn[y, x] for y, x in ((4, 40), (14, 25), (24, 10))) and drawn.mean() < 0.1
 
 
 def test_a_uniform_image_has_no_values():
