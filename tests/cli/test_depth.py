@@ -192,7 +192,8 @@ def test_kitti_by_camera(tmp_path: Path):
     refused(InputError, read_geometry, file, Reading(cameras=(3, 2)))
     half = color.for_size(500, 100)  # KITTI's projections say no size: taken as they are
     write_geometry(tmp_path / "own.txt", half, 63)
-    again = read_geometry(tmp_path / "own.txt")
+    again, words = read_geometry(tmp_path / "own.txt"), (tmp_path / "own.txt").read_text().split()
+    assert words[2] == f"{half.left.cx:g};" and words[11] == f"{half.left.cx + 2:g};"  # of cam0 and cam1
     assert (again.fb, again.offset, again.size, half.size) == (pytest.approx(half.fb), 2, (500, 100), (500, 100))
     scaled = again.for_size(250, 50)  # corners of pixels stay
     assert (scaled.left.fx, scaled.left.cx, scaled.left.cy, scaled.offset) == (355, 304.75, 85.75, 1)

@@ -173,6 +173,10 @@ def test_the_channels_that_are_left_out_are_named_and_guesses_refused(tmp_path: 
     assert "a.exr: its channel 'Z' is read" in lines[0] and "G" in lines[0]
     refused(InputError, read_plane, exr(tmp_path, R=VALUES, G=VALUES + 1, B=VALUES))
     refused(InputError, read_image, path)
+    OpenEXR = pytest.importorskip("OpenEXR")
+    parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage}, {"Z": VALUES}, name=name) for name in ("left", "right")]
+    OpenEXR.File(parts).write(str(path))
+    refused(InputError, read_plane, path)
     path.write_bytes(path.read_bytes()[:200])
     refused(InputError, read_plane, path)
 

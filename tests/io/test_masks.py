@@ -57,6 +57,7 @@ def test_masks_of_middlebury_jpeg_and_labels(tmp_path: Path):
 def test_an_empty_mask_fails_the_glass_and_is_said_in_evaluation(tmp_path: Path):
     scene = frame(tmp_path / "a", np.zeros(INSIDE.shape, np.uint8))
     refused(InputError, load_masked_frame, scene)
+    refused(InputError, load_masked_frame, frame(tmp_path / "full", np.full(INSIDE.shape, 255, np.uint8)))
     _, lines = warned(true_depth, scene)
     assert "mask_transparent.png: no pixel is inside" in lines[0]
     with saying(InputError):

@@ -9,7 +9,7 @@ import pytest
 
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.frames import RgbdFrame
-from depthcli.methods.kinect.camera_motion import displacement, view_after
+from depthcli.methods.kinect.camera_motion import displacement, estimated_motion, view_after
 from depthcli.methods.kinect.disparity import Measurement
 from depthcli.methods.kinect.layers import Layer
 from depthcli.methods.kinect.pipeline.sequence import carried_labels, still_pixels
@@ -52,6 +52,16 @@ def test_as_good_as_frame_by_frame(kind):
         assert state.age == 7  # segments were computed once
         errors += [mean_error(way, samples) for way in (along, [pipeline(sample.frame()) for sample in samples])]
     assert errors[0] <= 1.05 * errors[1]
+
+
+def test_the_estimated_motion_is_that_of_the_poses():
+    first, _, third = frames("camera", count=3)
+    assert first.intrinsics is not None and first.pose is not None and third.pose is not None
+    found = estimated_motion(first.color, third.color, first.disparity, first.intrinsics, RgbdFrame.fb)
+    true = np.linalg.inv(third.pose) @ first.pose
+    assert found is not None and np.linalg.norm(true[:3, 3]) > 0.06  # meters
+    np.testing.assert_allclose(found[:3, 3], true[:3, 3], atol=0.005)
+    np.testing.assert_allclose(found[:3, :3], true[:3, :3], atol=0.002)
 
 
 @pytest.mark.slow
