@@ -5,9 +5,9 @@ import json
 import os
 import re
 import runpy
-import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import _docs_examples
 import _docs_links
@@ -26,6 +26,7 @@ from depthcli.evaluation import protocols
 from depthcli.io.formats.map_format import map_formats
 from depthcli.io.scenes.find import ALL_KINDS
 from depthcli.methods.registration.search import MEASURES
+from tests.command_line import ended
 from tests.golden import saying
 
 ROOT = Path(__file__).parent.parent
@@ -33,17 +34,14 @@ DOCS = ROOT / "docs"
 
 
 @pytest.mark.parametrize("notebook", sorted(DOCS.glob("*.ipynb")), ids=lambda path: path.stem)
-def test_notebooks_run(
-    notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_notebooks_run(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
     """Every cell runs in order, from nothing, and none carries an output that could be out of date."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PATH", os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"])))
-    cells = [cell for cell in json.loads(notebook.read_text("utf-8"))["cells"] if cell["cell_type"] == "code"]
     names: dict[str, object] = {}
-    for cell in cells:
+    for cell in (each for each in json.loads(notebook.read_text("utf-8"))["cells"] if each["cell_type"] == "code"):
         assert not cell["outputs"]
-        exec(compile("".join(cell["source"]), f"{notebook.name}", "exec"), names)
+        exec(compile("".join(cell["source"]), notebook.name, "exec"), names)
     if notebook.stem == "first_steps":
         assert "accurate: " in capsys.readouterr().out
         assert (tmp_path / "first_steps" / "points.ply").stat().st_size > 1_000_000
@@ -92,19 +90,21 @@ def test_the_reference_is_up_to_date():
 def test_every_column_of_a_preset_is_explained():
     """By the table of its command; the N of ``weight_N`` stands for anything."""
     for preset, figures_of in json.loads((ROOT / "tests" / "outputs" / "maps.json").read_text("utf-8")).items():
-        command = preset.partition(" ")[0]
+        words = {"Every run", preset.partition(" ")[0]}
         headings = [key for title, rows in docs_reference.COLUMNS.items()
-                    if title == "Every run" or command in re.split(", | ", title) for key in rows]  # fmt: skip
+                    if words & {title, *re.split(", | ", title)} for key in rows]  # fmt: skip
         names = "|".join(name for key in headings for name in key.partition(" [")[0].split(", "))
         known = re.compile(re.sub(r"NAME|STAGE|N\b", ".+", names))
         missing = [name for name in figures_of.get("columns", "").split() if not known.fullmatch(name)]
         assert not missing, preset
 
 
-def test_every_link_leads_somewhere_in_the_repository():
+def test_every_link_leads_somewhere_in_the_repository_and_pictures_are_small():
     """Pages, headings, pictures and other files, as a code host shows them."""
     pages = [*ROOT.glob("*.md"), *DOCS.rglob("*.md"), ROOT / "scripts" / "README.md"]
     assert not list(_docs_links.dead_links(ROOT, pages))
+    pictures = (file for end in ("png", "svg", "webp") for file in (DOCS / "static").rglob(f"*.{end}"))
+    assert sum(file.stat().st_size for file in pictures) <= 4_000_000
 
 
 def test_dead_links_are_found(tmp_path: Path):
@@ -117,11 +117,6 @@ def test_dead_links_are_found(tmp_path: Path):
     assert dead == ["#none", "b.md#no-heading", "c.png", "../outside.md"]
 
 
-def test_pictures_are_small():
-    pictures = (file for end in ("png", "svg", "webp") for file in (DOCS / "static").rglob(f"*.{end}"))
-    assert sum(file.stat().st_size for file in pictures) <= 4_000_000
-
-
 def test_measured_tables_have_their_place():
     """The tables of figures.yaml are those between markers, with the columns that they have there."""
     pages = "".join(page.read_text("utf-8") for page in figures.PAGES)
@@ -131,8 +126,12 @@ def test_measured_tables_have_their_place():
         assert table["run"] in figures.SETTINGS["runs"]
 
 
-def test_the_tables_of_the_thesis_show_what_was_measured():
-    thesis = runpy.run_path(str(ROOT / "scripts" / "thesis"))
+@pytest.fixture(scope="module")
+def thesis() -> dict[str, Any]:
+    return runpy.run_path(str(ROOT / "scripts" / "thesis"))
+
+
+def test_the_tables_of_the_thesis_show_what_was_measured(thesis):
     measured = thesis["Measured"](json.loads((DOCS / "static" / "thesis" / "measured.json").read_text("utf-8")))
     written = thesis["written"](measured, set("234567"))
     for file, text in written.items():
@@ -143,8 +142,7 @@ def test_the_tables_of_the_thesis_show_what_was_measured():
     assert all(f"](static/thesis/{file.name})" in page for file in sheets)
 
 
-def test_a_sheet_has_the_means_and_each_item():
-    thesis = runpy.run_path(str(ROOT / "scripts" / "thesis"))
+def test_a_sheet_has_the_means_and_each_item(thesis):
     items = {
         "v2 A": {"x, y": {"v2 gap": 1.0, "AUC": float("nan"), "last": 5.0}, "z": {"last": 1.0}},
         "2005 B": {"x, y": {"2005 gap": 2.0, "AUC": 0.25}, "w": {"2005 gap": 9.0}},
@@ -165,9 +163,8 @@ def test_the_config_keys_on_the_page_of_the_thesis_exist():
             continue  # it has no method of its own
         found = re.search(r"^ *depthcli (\S+) thesis/", chapter, re.MULTILINE)
         assert found
-        presets = [
-            name for each, name, _ in list_presets() if (each, name[:10]) == (found[1], f"thesis/ch{chapter[0]}")
-        ]
+        chapters = f"thesis/ch{chapter[0]}"
+        presets = [name for command, name, _ in list_presets() if command == found[1] and name.startswith(chapters)]
         model = config_model(found[1])
         assert model and presets
         known = "".join(dump_config(load_config(model, find_config(found[1], name))) for name in presets)
@@ -179,9 +176,8 @@ def test_the_config_keys_on_the_page_of_the_thesis_exist():
 
 
 def test_a_table_is_taken_from_the_output_of_a_script():
-    text = (
-        "## Some title, %\n\n| name | a | b |\n| --- | ---: | ---: |\n| x | **1.234** | 2 |\n| y | 3 | <u>4.5</u> |\n"
-    )
+    text = "## Some title, %\n\n| name | a | b |\n| --- | ---: | ---: |\n"
+    text += "| x | **1.234** | 2 |\n| y | 3 | <u>4.5</u> |\n"
     settings = {"title": "Some", "columns": {"method": "name", "a / b": "a & b"}, "rows": {"y": "Y", "x": "X"}}
     settings |= {"fixed": [["Z", 9]]}
     table = figures.markdown(figures.selected(figures.tables(text), settings))
@@ -220,18 +216,15 @@ def test_outputs_are_compared_without_what_differs_from_run_to_run():
         assert not _docs_examples.same_output(table, table.replace(old, new))
 
 
-@pytest.mark.parametrize(
-    "block",
-    [
-        "```console\n$ false\n```\n",
-        "```sh exit=2\nexit 3\n```\n",
-        "```python\nraise ValueError('no')\n```\n",
-        "```console\nnothing\n```\n",
-        "```yaml\na: 1\n```\n",
-        "```sh quiet\ntrue\n```\n",
-        "- a\n\n  ```sh\n  true\n  ```\n",
-    ],
-)
+@pytest.mark.parametrize("block", [
+    "```console\n$ false\n```\n",
+    "```sh exit=2\nexit 3\n```\n",
+    "```python\nraise ValueError('no')\n```\n",
+    "```console\nnothing\n```\n",
+    "```yaml\na: 1\n```\n",
+    "```sh quiet\ntrue\n```\n",
+    "- a\n\n  ```sh\n  true\n  ```\n",
+])  # fmt: skip
 def test_an_example_that_fails_stops_the_page(page, block: str):
     with saying(_docs_examples.ExampleError):
         page("\n" + block).run()
@@ -252,9 +245,7 @@ def test_pages_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 @pytest.mark.system
 def test_the_overview_is_drawn_as_it_is_committed():
     """One picture; ``docs/examples/pictures.py --check`` compares all."""
-    command = [sys.executable, str(DOCS / "examples" / "pictures.py"), "--check", "--only", "overview"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    ended(0, sys.executable, DOCS / "examples" / "pictures.py", "--check", "--only", "overview")
 
 
 @pytest.mark.parametrize("start", sorted((ROOT / "depthcli").rglob("__init__.py")), ids=lambda file: file.parent.name)

@@ -42,11 +42,7 @@ def test_no_validation_scene_is_a_tuning_scene():
     for folder, names in GROUPS["validation"].items():
         if folder != "generated":
             assert not in_both(thumbnails({folder: names}), tuning), folder
-
-
-@needs_data
-def test_a_scene_of_two_data_sets_is_found():
-    tuning = thumbnails(GROUPS["tuning"])
+    # A scene of two data sets would be found.
     assert in_both(thumbnails({"middlebury_v3": ["Teddy"]}), tuning) == {("middlebury_v3/Teddy", "middlebury_v2/Teddy")}
     twice = thumbnails({"middlebury_v3": ["Motorcycle", "MotorcycleE"]})
     assert len(in_both(twice, twice)) == 4

@@ -60,33 +60,24 @@ def test_what_is_kept_is_bounded_and_can_be_given_back():
     assert not memory._free
 
 
-def test_arrays_alive_at_once_never_share_memory_in_any_order():
-    rng = np.random.default_rng(1)
-    alive: list[tuple[int, np.ndarray]] = []
-    for step in range(400):
-        if alive and rng.random() < 0.45:
-            mark, array = alive.pop(rng.integers(len(alive)))
-            assert np.all(array.reshape(-1)[:: array.size // 50] == mark)
-        array = memory.empty((int(rng.integers(1, 5)), MEBI // 2), np.uint16)
-        array[...] = step
-        alive.append((step, array[:, 1:]))
-        alive = alive[-20:]
-    ends = sorted((address(a), address(a) + (a.shape[0] - 1) * a.strides[0] + a[0].nbytes) for _, a in alive)
-    assert all(end <= start for (_, end), (start, _) in itertools.pairwise(ends))
-
-
-def test_threads_never_get_the_same_memory():
+def test_arrays_alive_at_once_never_share_memory_in_any_order_and_thread():
+    alive: list[tuple[int, np.ndarray]] = []  # of all threads, at their end
     wrong = []
 
-    def work(mark):
-        rng = np.random.default_rng(mark)
-        for _ in range(150):
-            arrays = [memory.empty((int(rng.integers(1, 4)) * MEBI,), np.uint8) for _ in range(2)]
-            for k, array in enumerate(arrays):
-                array[::4096] = mark + k
-            for k, array in enumerate(arrays):
-                if not np.all(array[::4096] == mark + k):
-                    wrong.append(mark)
+    def work(thread: int) -> None:
+        rng = np.random.default_rng(thread)
+        own: list[tuple[int, np.ndarray]] = []
+        for mark in range(400 * thread, 400 * thread + 400):
+            if own and rng.random() < 0.45:
+                old, array = own.pop(rng.integers(len(own)))
+                if not np.all(array.reshape(-1)[:: array.size // 50] == old):
+                    wrong.append(old)
+            array = memory.empty((int(rng.integers(1, 5)), MEBI // 2), np.uint16)
+            array[...] = mark
+            own = [*own, (mark, array[:, 1:])][-5:]
+        alive.extend(own)
 
-    in_threads([partial(work, 10 * k) for k in range(8)])
+    in_threads([partial(work, k) for k in range(8)])
     assert not wrong
+    ends = sorted((address(a), address(a) + (a.shape[0] - 1) * a.strides[0] + a[0].nbytes) for _, a in alive)
+    assert all(end <= start for (_, end), (start, _) in itertools.pairwise(ends))

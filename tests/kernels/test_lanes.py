@@ -7,54 +7,39 @@ from depthcli.kernels.jit import jit
 
 
 @jit
-def _compute(a, b, factor, out):
-    x, y = lanes.load(a, 1), lanes.load(b, 0)
+def _compute(a, b, levels, factor, out, bytes_out):
+    x, y, z = lanes.load(a, 1), lanes.load(b, 0), lanes.load(levels, 1)
     lanes.store(out, 0, x + y)
     lanes.store(out, 16, x - y)
     lanes.store(out, 32, x * lanes.splat(factor))
-    lanes.store(out, 48, lanes.minimum(x, y))
-    y += x
-    lanes.store(out, 64, y)
-
-
-def test_lanes_compute_as_numpy_does():
-    rng = np.random.default_rng(1)
-    a, b = (rng.normal(0, 2, 17).astype(np.float32) for _ in range(2))
-    out = np.zeros(5 * lanes.LANES, np.float32)
-    _compute(a, b, np.float32(-1.5), out)
-    x, y = a[1:], b[:16]
-    rows = out.reshape(5, 16)
-    for row, expected in zip(rows, (x + y, x - y, x * np.float32(-1.5), np.minimum(x, y)), strict=False):
-        np.testing.assert_allclose(row, expected, rtol=1e-6)
-    np.testing.assert_array_equal(rows[4], rows[0])
-
-
-@jit
-def _compute_more(a, b, levels, out, bytes_out):
-    x, y, z = lanes.load(a, 0), lanes.load(b, 0), lanes.load(levels, 1)
-    lanes.store(out, 0, x / y)
-    lanes.store(out, 16, lanes.maximum(x, y))
-    lanes.store(out, 32, lanes.where_at_most(x, y, x + y, z))
+    lanes.store(out, 48, x / y)
+    lanes.store(out, 64, lanes.minimum(x, y))
+    lanes.store(out, 80, lanes.maximum(x, y))
+    lanes.store(out, 96, lanes.where_at_most(x, y, x + y, z))
+    lanes.store(out, 112, lanes.lane_exp_minus_16(x * x))
     share = lanes.as_bytes(lanes.where_at_most(x, y, z, lanes.splat(np.float32(200.7))))
     lanes.store(bytes_out, 18, lanes.load_like(share, levels, 1) + share)
     lanes.store(bytes_out, 34, lanes.load_like(share, levels, 1) - share)
     lanes.store(bytes_out, 50, lanes.absolute_difference(lanes.load_like(share, levels, 1), share))
     lanes.store(bytes_out, 66, lanes.minimum(lanes.load_like(share, levels, 1), share))
-    lanes.store(out, 48, lanes.lane_exp_minus_16(x * x))
+    y += x
+    lanes.store(out, 128, y)
     return lanes.lane_max(x)
 
 
-def test_more_operations_on_floats_and_bytes():
+def test_floats_and_bytes_compute_as_numpy_does():
     rng = np.random.default_rng(2)
-    a, b = (rng.normal(0, 2, 16).astype(np.float32) for _ in range(2))
+    a, b = rng.normal(0, 2, 17).astype(np.float32), rng.normal(0, 2, 16).astype(np.float32)
     b += np.sign(b)
     levels = rng.integers(0, 255, 17).astype(np.uint8)
-    out, bytes_out = np.zeros((4, 16), np.float32), np.zeros(82, np.uint8)
-    assert _compute_more(a, b, levels, out.reshape(-1), bytes_out) == a.max()
-    z = levels[1:].astype(np.float32)
-    expected = (a / b, np.maximum(a, b), np.where(a <= b, a + b, z))
-    np.testing.assert_allclose(out[:3], expected, rtol=1e-6)
-    np.testing.assert_allclose(out[3], np.exp(-16 * np.minimum(a * a, 1)), atol=1e-4)
+    out, bytes_out = np.zeros((9, lanes.LANES), np.float32), np.zeros(82, np.uint8)
+    assert _compute(a, b, levels, np.float32(-1.5), out.reshape(-1), bytes_out) == a[1:].max()
+    a, z = a[1:], levels[1:].astype(np.float32)
+    either = np.where(a <= b, a + b, z)
+    expected = (a + b, a - b, a * np.float32(-1.5), a / b, np.minimum(a, b), np.maximum(a, b), either)
+    np.testing.assert_allclose(out[:7], expected, rtol=1e-6)
+    np.testing.assert_allclose(out[7], np.exp(-16 * np.minimum(a * a, 1)), atol=1e-4)
+    np.testing.assert_array_equal(out[8], out[0])
     assert not bytes_out[:18].any()
     share = np.where(a <= b, z, 200)
     of_bytes = (np.minimum(z + share, 255), np.maximum(z - share, 0), np.abs(z - share), np.minimum(z, share))

@@ -30,7 +30,7 @@ from depthcli.run.records import discard, hidden_folder, read_report
 from depthcli.run.runner import run_scenes
 from depthcli.run.scene import Task, Work, _keep_only, compute_scene
 from depthcli.show.table import Column, run_table
-from tests.command_line import ended
+from tests.command_line import contents, ended
 from tests.golden import refused, told
 
 
@@ -125,11 +125,11 @@ class Folder:
 
     def bytes(self) -> dict[str, bytes]:
         """Return all files but reports; of records what they say of inputs and files, without measured times."""
-        files = [p for p in self.output.rglob("*") if p.is_file() and p.parent / p.name not in self.reports()]
-        found = {str(p.relative_to(self.output)): p.read_bytes() for p in sorted(files)}
-        for name in [name for name in found if name.endswith(RECORD_FILE)]:
-            content = json.loads(found[name])
-            found[name] = repr([content[key] for key in ("scene", "run", "inputs", "files")]).encode()
+        found = contents(self.output)
+        for path in self.output.rglob(RECORD_FILE):
+            record = json.loads(path.read_text())
+            said = [record[key] for key in ("scene", "run", "inputs", "files")]
+            found[path.relative_to(self.output).as_posix()] = repr(said).encode()
         return found
 
     def reports(self) -> list[Path]:

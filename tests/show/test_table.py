@@ -9,28 +9,22 @@ from operator import itemgetter
 import pytest
 
 from depthcli.show.table import FORMATS, Column, Number, Table, to_csv
+from tests.golden import Same
 
 NAN = math.nan
 
 
-def column(values: tuple[float, ...], larger: bool | None = False) -> Table:
-    return Table("t", [Column("c", Number, larger)], values)
-
-
-@pytest.mark.parametrize(
-    ("values", "larger", "places"),
-    [
-        ((3.0, 1.0, 2.0), False, [0, 1, 2]),
-        ((3.0, 1.0, 2.0), True, [1, 0, 2]),
-        ((1.0, 1.001, 2.0, 3.0), False, [1, 1, 2, 0]),  # they read alike
-        ((NAN, 5.0), False, [0, 1]),
-        ((5.0,), False, [0]),
-        ((1.0, 2.0), None, [0, 0]),
-        ((-0.001, 0.001, 1.0), False, [1, 1, 2]),
-    ],
-)
+@pytest.mark.parametrize(("values", "larger", "places"), [
+    ((3.0, 1.0, 2.0), False, [0, 1, 2]),
+    ((3.0, 1.0, 2.0), True, [1, 0, 2]),
+    ((1.0, 1.001, 2.0, 3.0), False, [1, 1, 2, 0]),  # they read alike
+    ((NAN, 5.0), False, [0, 1]),
+    ((5.0,), False, [0]),
+    ((1.0, 2.0), None, [0, 0]),
+    ((-0.001, 0.001, 1.0), False, [1, 1, 2]),
+])  # fmt: skip
 def test_places(values: tuple[float, ...], larger: bool | None, places: list[int]):
-    assert column(values, larger).places(0) == places
+    assert Table("t", [Column("c", Number, larger)], values).places(0) == places
 
 
 def test_a_number_keeps_its_value():
@@ -39,53 +33,13 @@ def test_a_number_keeps_its_value():
     assert Number(1.234).value == 1.234
 
 
-WIDE = Table(
-    "A_b, 50 %",
-    [Column("run", itemgetter(0)), Column("s & t", itemgetter(1), False), Column("up", itemgetter(2), True)],
-    (("x|y_1", Number(1.234), Number(0.5, 1)), ("two", Number(2.0, mark="*"), Number(NAN, 1))),
-    "a note",
-)
-
-
-def test_markdown():
-    text = WIDE.markdown()
-    assert text.splitlines()[2:6] == [
-        "| run | s & t | up |",
-        "| --- | ---: | ---: |",
-        "| x\\|y_1 | **1.23** | **0.5** |",
-        "| two | <u>2.00*</u> | - |",
-    ]
-    assert text.startswith("## A_b, 50 %\n")
-    assert text.endswith("\n\na note\n")
-
-
-def test_latex():
-    text = WIDE.latex()
-    assert r"\caption{A\_b, 50 \%}" in text
-    assert r"run & s \& t & up \\" in text
-    assert r"x|y\_1 & \textbf{1.23} & \textbf{0.5} \\" in text
-    assert r"two & \underline{2.00*} & - \\" in text
-    assert r"\begin{tabular}{lrr}" in text
-    assert text.count("{") == text.count("}")
-
-
-def test_csv_has_all_digits_and_no_marks():
-    rows = list(csv.reader(io.StringIO(FORMATS["csv"]([WIDE]))))
-    assert rows == [
-        ["table", "run", "s & t", "up"],
-        ["A_b, 50 %", "x|y_1", "1.234", "0.5"],
-        ["A_b, 50 %", "two", "2.0", ""],
-    ]
-
-
-def test_csv_of_several_tables_has_one_header():
-    first = Table.of_cells("t1", ("run", "a", "a"), (("x", Number(1.0), Number(2.0)),))
-    second = Table.of_cells("t2", ("run", "b", "a"), (("y", Number(3.0), Number(4.0)),))
-    assert list(csv.reader(io.StringIO(FORMATS["csv"]([first, second])))) == [
-        ["table", "run", "a", "a", "b"],
-        ["t1", "x", "1.0", "2.0", ""],
-        ["t2", "y", "4.0", "", "3.0"],
-    ]
+def test_every_format_of_two_tables(same: Same):
+    """With all digits and no marks in CSV, where several tables have one header; escaped where signs have a meaning."""
+    columns = [Column("run", itemgetter(0)), Column("s & t", itemgetter(1), False), Column("up", itemgetter(2), True)]
+    rows = (("x|y_1", Number(1.234), Number(0.5, 1)), ("two", Number(2.0, mark="*"), Number(NAN, 1)))
+    first = Table("A_b, 50 %", columns, rows, "a note")
+    second = Table.of_cells("t2", ("run", "b", "up", "up"), (("y", Number(3.0), Number(4.0), Number(5.0)),))
+    same("tables.txt", "\n".join(f"{name}:\n{write([first, second])}" for name, write in FORMATS.items()))
 
 
 HOSTILE = (
