@@ -107,27 +107,21 @@ def check(file, expected, field=None, atol=1e-6):
     same(read_moving_transform(file, field, "auto", EMPTY, None), expected, atol)
 
 
-def affine():
-    matrix = [1.02, 0.05, 0.0, -0.04, 0.98, 0.03, 0.01, 0.0, 1.1]
-    return SimpleITK.AffineTransform(matrix, [2.0, -3.0, 1.0], [-20.0, 10.0, 15.0])
-
-
-def spline():
-    transform = SimpleITK.BSplineTransform(3, 3)
-    transform.SetTransformDomainOrigin((-60.0, 5.0, 0.0))
-    transform.SetTransformDomainPhysicalDimensions((60.0, 40.0, 50.0))
-    transform.SetTransformDomainMeshSize((4, 3, 3))
-    count = len(transform.GetParameters())
-    transform.SetParameters((4 * np.random.default_rng(1).standard_normal(count)).tolist())
-    return transform
+MATRIX = [1.02, 0.05, 0.0, -0.04, 0.98, 0.03, 0.01, 0.0, 1.1]
+AFFINE = SimpleITK.AffineTransform(MATRIX, [2.0, -3.0, 1.0], [-20.0, 10.0, 15.0])
+SPLINE = SimpleITK.BSplineTransform(3, 3)
+SPLINE.SetTransformDomainOrigin((-60.0, 5.0, 0.0))
+SPLINE.SetTransformDomainPhysicalDimensions((60.0, 40.0, 50.0))
+SPLINE.SetTransformDomainMeshSize((4, 3, 3))
+SPLINE.SetParameters((4 * np.random.default_rng(1).standard_normal(len(SPLINE.GetParameters()))).tolist())
 
 
 @pytest.mark.parametrize("suffix", [".tfm", ".txt", ".h5", ".mat"])
 def test_itk_transform_files(tmp_path, suffix):
     file = tmp_path / f"t{suffix}"
-    SimpleITK.WriteTransform(affine(), str(file))
-    check(file, affine())
-    composed = SimpleITK.CompositeTransform([affine(), WARP])  # as of ANTs: an affine after its warp
+    SimpleITK.WriteTransform(AFFINE, str(file))
+    check(file, AFFINE)
+    composed = SimpleITK.CompositeTransform([AFFINE, WARP])  # as of ANTs: an affine after its warp
     check(file, composed, nifti(tmp_path / "field.nii", FIELD), 1e-4)
 
 
@@ -144,49 +138,39 @@ def numbers(values):
     return " ".join(f"{v:.12g}" for v in values)
 
 
-def test_elastix_transforms_one_by_one(tmp_path):
-    file = tmp_path / "TransformParameters.0.txt"
-    elastix(file, "TranslationTransform", [1.0, -2.0, 3.0])
-    check(file, SimpleITK.TranslationTransform(3, [1.0, -2.0, 3.0]))
-    euler = SimpleITK.Euler3DTransform([-20.0, 10.0, 15.0], 0.1, -0.05, 0.2, [1.0, 2.0, 3.0])
-    elastix(file, "EulerTransform", euler.GetParameters(), CenterOfRotationPoint="-20 10 15", ComputeZYX='"false"')
-    check(file, euler)
-    elastix(file, "AffineTransform", affine().GetParameters(), CenterOfRotationPoint="-20 10 15")
-    check(file, affine())
+def test_elastix_transforms_one_by_one_and_in_chains(tmp_path):
+    center = {"CenterOfRotationPoint": "-20 10 15"}
+    for name, expected, fields in (
+        ("TranslationTransform", SimpleITK.TranslationTransform(3, [1.0, -2.0, 3.0]), {}),
+        ("EulerTransform", SimpleITK.Euler3DTransform([-20.0, 10.0, 15.0], 0.1, -0.05, 0.2, [1.0, 2.0, 3.0]),
+         center | {"ComputeZYX": '"false"'}),
+        ("AffineTransform", AFFINE, center),
+    ):  # fmt: skip
+        check(elastix(tmp_path / "TransformParameters.0.txt", name, expected.GetParameters(), **fields), expected)
+    grid = SPLINE.GetCoefficientImages()[0]
+    second = elastix(tmp_path / "TransformParameters.1.txt", "BSplineTransform", SPLINE.GetParameters(),
+                     "/elsewhere/TransformParameters.0.txt", GridSize=numbers(grid.GetSize()), GridIndex="0 0 0",
+                     GridSpacing=numbers(grid.GetSpacing()), GridOrigin=numbers(grid.GetOrigin()),
+                     GridDirection="1 0 0 0 1 0 0 0 1", BSplineTransformSplineOrder="3")  # fmt: skip
+    check(second, SimpleITK.CompositeTransform([SPLINE, AFFINE]))
+    circle = elastix(tmp_path / "t.txt", "TranslationTransform", [1.0, 2.0, 3.0], "t.txt")
+    refused(InputError, read_moving_transform, circle, None, "auto", EMPTY, None)
 
 
-def test_elastix_chain_of_affine_and_spline(tmp_path):
-    first, second = tmp_path / "TransformParameters.0.txt", tmp_path / "TransformParameters.1.txt"
-    elastix(first, "AffineTransform", affine().GetParameters(), CenterOfRotationPoint="-20 10 15")
-    images = spline().GetCoefficientImages()
-    elastix(second, "BSplineTransform", spline().GetParameters(), "/elsewhere/TransformParameters.0.txt",
-            GridSize=numbers(images[0].GetSize()), GridIndex="0 0 0", GridSpacing=numbers(images[0].GetSpacing()),
-            GridOrigin=numbers(images[0].GetOrigin()), GridDirection="1 0 0 0 1 0 0 0 1",
-            BSplineTransformSplineOrder="3")  # fmt: skip
-    check(second, SimpleITK.CompositeTransform([spline(), affine()]))
-
-
-def test_elastix_chain_that_comes_back(tmp_path):
-    file = elastix(tmp_path / "t.txt", "TranslationTransform", [1.0, 2.0, 3.0], "t.txt")
-    refused(InputError, read_moving_transform, file, None, "auto", EMPTY, None)
-
-
-def test_a_damaged_field_is_named_once(tmp_path):
+def test_fields_that_cannot_be_read_are_named_once(tmp_path):
     SimpleITK.WriteImage(SimpleITK.Image([4, 4, 4], SimpleITK.sitkVectorFloat32, 2), str(tmp_path / "two.mha"))
-    for name in ("two.mha", "none.mha"):
-        with pytest.raises(InputError) as caught:
-            read_field(tmp_path / name, GRID)
-        assert str(caught.value).count(name) == 1
+    kinds = (3.0, 4.0, 5.0, 7.0, 0.4)  # of NiftyReg: velocities, and unknown ones
+    others = [nifti(tmp_path / f"{kind}.nii", FIELD, b"NREG_TRANS", kind) for kind in kinds]
+    for file in (tmp_path / "two.mha", tmp_path / "none.mha", *others):
+        assert refused(InputError, read_field, file, GRID).count(file.name) == 1
 
 
-@pytest.mark.parametrize(("name", "write"), [
-    ("itk.mha", itk), ("itk.nii", nifti), ("voxels.nii", partial(nifti, dims=4)),
-])  # fmt: skip
-def test_displacements_that_are_no_numbers_blame_their_file(tmp_path, name, write):
+def test_displacements_that_are_no_numbers_blame_their_file(tmp_path):
     values = FIELD.copy()
     values[3, 4, 5, 1], values[6] = np.nan, np.inf
-    write(tmp_path / name, values)
-    refused(InputError, read_moving_transform, None, tmp_path / name, "auto", *volumes())
+    for name, write in (("itk.mha", itk), ("itk.nii", nifti), ("voxels.nii", partial(nifti, dims=4))):
+        write(tmp_path / name, values)
+        refused(InputError, read_moving_transform, None, tmp_path / name, "auto", *volumes())
 
 
 @pytest.mark.parametrize("convention", ["auto", "itk"])
@@ -204,8 +188,8 @@ def test_a_field_that_fits_better_the_other_way_round_is_said(tmp_path, conventi
 
 
 def test_an_inverted_transform_is_said(tmp_path):
-    moving, fixed = volumes(affine())
-    for name, transform in (("right", affine().GetInverse()), ("wrong", affine())):
+    moving, fixed = volumes(AFFINE)
+    for name, transform in (("right", AFFINE.GetInverse()), ("wrong", AFFINE)):
         SimpleITK.WriteTransform(transform, str(tmp_path / f"{name}.tfm"))
         _, lines = warned(read_moving_transform, tmp_path / f"{name}.tfm", None, "auto", fixed, moving)
         assert [("inverted" in line) for line in lines] == [True] * (name == "wrong")
@@ -241,11 +225,6 @@ def test_control_points_of_niftyreg(tmp_path, order, kind):
         found = read_moving_transform(None, file, convention, EMPTY, None)
         same(found, SimpleITK.BSplineTransform(parts, order), 1e-4)
     refused(InputError, read_moving_transform, None, file, "itk", EMPTY, None)
-
-
-def test_velocities_and_unknown_kinds_of_niftyreg_are_refused(tmp_path):
-    for kind in (3.0, 4.0, 5.0, 7.0, 0.4):
-        refused(InputError, read_field, nifti(tmp_path / "f.nii", FIELD, b"NREG_TRANS", kind), GRID)
 
 
 def test_elastix_without_direction_cosines(tmp_path):
