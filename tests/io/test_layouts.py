@@ -102,10 +102,18 @@ def test_half_a_pair_is_an_item_with_a_problem(tmp_path: Path):
     refused(InputError, load, scene)
 
 
-def test_a_folder_named_as_an_image_is_none(tmp_path: Path):
-    own(tmp_path / "left.png")
-    (own(tmp_path / "other") / "right.pgm").mkdir()
-    assert [scene.name for scene in find(tmp_path) if not scene.problem] == ["left.png", "other"]
+def test_files_are_not_opened_until_they_are_loaded(tmp_path: Path):
+    views = laid(tmp_path / "views", {"a/view1.png": COLOR, "a/view5.png": COLOR, "a/disp1.png": b"damaged"})
+    (scene,) = find(views)
+    load(scene)
+    refused(InputError, true, scene)
+    laid(own(tmp_path / "sizes/a"), {"right.png": COLOR[:5], "mask_nonocc.png": GREY[:5]})
+    (scene,) = find(tmp_path / "sizes")
+    refused(InputError, load, scene)
+    refused(InputError, true, scene)
+    own(tmp_path / "folders/left.png")  # a folder named as an image is none
+    (own(tmp_path / "folders/other") / "right.pgm").mkdir()
+    assert [scene.name for scene in find(tmp_path / "folders") if not scene.problem] == ["left.png", "other"]
 
 
 def test_scenes_that_are_not_used_are_told(tmp_path: Path):
@@ -122,12 +130,6 @@ def test_scenes_that_are_not_used_are_told(tmp_path: Path):
     assert len(lines) == 1 and str(tmp_path / "below/later") in lines[0] and "not used" in lines[0]
     laid(tmp_path / "views", {"left/7.png": COLOR, "right/7.png": COLOR})
     assert len(find(tmp_path / "views", warn=lines.append)) == len(lines) == 1
-
-
-def test_listing_opens_no_image(tmp_path: Path):
-    (scene,) = find(laid(tmp_path, {"a/view1.png": COLOR, "a/view5.png": COLOR, "a/disp1.png": b"damaged"}))
-    load(scene)
-    refused(InputError, true, scene)
 
 
 def test_every_layout_says_what_it_wants():
@@ -207,12 +209,6 @@ def test_what_is_said_where_nothing_fits(tmp_path: Path):
     refused(InputError, find, tmp_path / "a", "scenes")
     (tmp_path / "a" / "meta.json").write_bytes(b"{\xff")
     refused(InputError, find, tmp_path / "a", "scenes")
-
-
-def test_sizes_must_agree(tmp_path: Path):
-    (scene,) = find(laid(own(tmp_path / "a"), {"right.png": COLOR[:5], "mask_nonocc.png": GREY[:5]}))
-    refused(InputError, load, scene)
-    refused(InputError, true, scene)
 
 
 @pytest.mark.slow

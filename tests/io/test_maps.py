@@ -26,7 +26,7 @@ from depthcli.io.formats.disparity import (
     write_disparity_png,
     write_pfm,
 )
-from depthcli.io.formats.images import read_image, write_png
+from depthcli.io.formats.images import image_size, read_image, write_png
 from depthcli.io.rgbd_frames import kinect_v1, read_kinect_raw
 from depthcli.problems.inputs import as_depth, as_image, as_map, as_volume
 from tests.golden import refused, warned
@@ -62,7 +62,7 @@ def test_round_trips(values):
     assert np.all(np.abs(read[known] - kept) <= 0.5 / 256 + 1e-9)
 
 
-def test_pfm_bytes_and_both_byte_orders(tmp_path: Path):
+def test_pfm_bytes_both_byte_orders_and_what_follows(tmp_path: Path):
     values = np.array([[1, 2, np.nan], [4, 5, 6]], np.float32)
     path = tmp_path / "a.pfm"
     write_pfm(path, values)
@@ -74,17 +74,13 @@ def test_pfm_bytes_and_both_byte_orders(tmp_path: Path):
         np.testing.assert_array_equal(read_disparity(path), values)
     path.write_bytes(b"PF\n3 2\n-1\n" + np.repeat(stored[..., None], 3, axis=2).astype("<f4").tobytes())
     np.testing.assert_array_equal(read_disparity(path), values)
-
-
-@pytest.mark.parametrize("more", [b"\0", b"\n", bytes(24), b"Pf\n3 2\n-1\n"])
-def test_bytes_behind_a_pfm_are_ignored_with_a_warning(tmp_path: Path, more: bytes):
-    file = tmp_path / "long.pfm"
-    values = np.arange(6, dtype=np.float32).reshape(2, 3)
-    file.write_bytes(encode_pfm(values) + more)
-    for read in (read_pfm, read_plane, read_disparity):
-        found, lines = warned(read, file)
-        assert np.array_equal(found, values)
-        assert lines == [f"{file}: the PFM has {len(more)} bytes more than its 3 x 2 values; they are ignored"]
+    for more in (b"\0", b"\n", bytes(24), b"Pf\n3 2\n-1\n"):
+        path.write_bytes(encode_pfm(PLANE / 8) + more)
+        for read in (read_pfm, read_plane, read_disparity):
+            found, lines = warned(read, path)
+            np.testing.assert_array_equal(found, PLANE / 8)
+            assert lines == [f"{path}: the PFM has {len(more)} bytes more than its 5 x 4 values; they are ignored"]
+        assert image_size(path) == (4, 5)
 
 
 @pytest.mark.parametrize("factor", [1, 256, -256])
@@ -162,15 +158,12 @@ def test_marks_of_no_value_are_the_same_for_maps_and_truth(tmp_path: Path, read)
         np.testing.assert_array_equal(np.isnan(found), codes == top)
         assert any(f"22.5 % of the pixels are {top}" in line for line in lines)
         assert not np.isnan(read_foreign_map(path, scale, np.nan)).any()
-
-
-def test_several_marks_and_a_few_pixels(tmp_path: Path):
-    values = usual()
-    values[0, :4], values[1, :9], values[2:6], values[7, 0] = -9999, 1e6, -1, 55
-    write_pfm(tmp_path / "a.pfm", values)
-    found, lines = warned(read_foreign_map, tmp_path / "a.pfm")
+    several = usual()
+    several[0, :4], several[1, :9], several[2:6], several[7, 0] = -9999, 1e6, -1, 55
+    np.save(path, several)
+    found, lines = warned(read, path)
+    np.testing.assert_array_equal(np.isnan(found), (several < 0) | (several > 100))
     assert len(lines) == 3
-    np.testing.assert_array_equal(np.isnan(found), (values < 0) | (values > 100))
 
 
 def test_zero_stays_a_true_disparity_with_a_warning(tmp_path: Path):
@@ -207,6 +200,7 @@ def test_npy_and_npz(tmp_path: Path):
     path = tmp_path / "a.npy"
     np.save(path, np.array([[1.5, np.inf, np.nan]]))
     np.testing.assert_array_equal(read_disparity(path), [[1.5, np.nan, np.nan]])
+    assert image_size(path) == (1, 3)
     for bad in (np.zeros(3), np.array([["a"]]), np.zeros((0, 3)), np.array([[{}]], object)):
         np.save(path, bad, allow_pickle=True)
         refused(InputError, read_disparity, path)
@@ -297,14 +291,14 @@ def test_largest_numbers_are_no_depth(tmp_path: Path, stored, dtype, mark):
 
 
 def test_a_depth_far_beyond_all_others_is_none(tmp_path: Path):
-    depth = np.random.default_rng(0).uniform(1, 30, (20, 30)).astype(np.float32)
+    path, depth = tmp_path / "d.pfm", np.random.default_rng(0).uniform(1, 30, (20, 30)).astype(np.float32)
     depth[:2, :3], depth[5, 5] = 10_000, 45
-    write_pfm(tmp_path / "d.pfm", depth)
-    read, lines = warned(read_depth, tmp_path / "d.pfm")
+    write_pfm(path, depth)
+    read, lines = warned(read_depth, path)
     np.testing.assert_array_equal(np.isnan(read), depth == 10_000)
     assert "d.pfm: 1 % of the pixels are 10000" in lines[0]
-    write_pfm(tmp_path / "d.pfm", np.where(depth == 10_000, 95, depth))
-    assert not np.isnan(read_depth(tmp_path / "d.pfm")).any()
+    write_pfm(path, np.where(depth == 10_000, 95, depth))
+    assert not np.isnan(read_depth(path)).any()
 
 
 def test_raw_codes_of_a_kinect_are_no_millimeters(tmp_path: Path):

@@ -9,7 +9,7 @@ import pytest
 import depthcli
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import read_mask
-from depthcli.io.rgbd_frames import load_frame, load_masked_frame, true_depth
+from depthcli.io.rgbd_frames import load_masked_frame, true_depth
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.frames import FRAMES
 from depthcli.io.scenes.pairs import PAIRS
@@ -62,9 +62,3 @@ def test_an_empty_mask_fails_the_glass_and_is_said_in_evaluation(tmp_path: Path)
     assert "mask_transparent.png: no pixel is inside" in lines[0]
     with saying(InputError):
         depthcli.complete_transparent(np.zeros((24, 32, 3), np.uint8), DEPTH, objects=np.zeros((24, 32), bool))
-
-
-def test_the_mask_of_what_is_hidden(tmp_path: Path):
-    laid(tmp_path, {"rgb.png": COLOR, "depth_gt_mm.png": DEPTH, "mask_transparent.png": INSIDE.astype(np.uint8)})
-    (scene,) = discover_scenes(tmp_path, FRAMES)
-    np.testing.assert_array_equal(np.isnan(load_frame(scene).depth), INSIDE)
