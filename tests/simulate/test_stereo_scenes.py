@@ -30,11 +30,9 @@ def _warped(image: np.ndarray, disparity: np.ndarray) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_truth_maps_right_view_onto_left(scenes, case):
-    scene = scenes[case]
-    inner = scene.nonocc & ~scene.disc
-    shifts = np.linspace(-0.5, 0.5, 11)
+    scene, shifts = scenes[case], np.linspace(-0.5, 0.5, 11)
     warped = (_warped(scene.right, scene.disparity_left + shift) for shift in shifts)
-    errors = np.array([np.mean((image - scene.left)[inner] ** 2) for image in warped])
+    errors = np.array([np.mean((image - scene.left)[scene.nonocc & ~scene.disc] ** 2) for image in warped])
     assert np.sqrt(errors[5]) < 4.0
     # The error is smallest at the truth itself: a parabola through it has its vertex within a tenth of a
     # pixel of 0, where rounding the disparity or taking pixel corners for centres would move it by a half.
@@ -127,12 +125,11 @@ def test_impossible_sizes_are_refused():
 
 @pytest.mark.parametrize("shape", ["sphere", "cylinder", "cone"])
 def test_rays_hit_curved_surfaces_where_marching_along_them_does(shape):
-    rng = np.random.default_rng(8)
-    half = np.array([1.2, 0.8, 0.9]) if shape == "sphere" else np.array([0.9, 1.1, 0.9])
+    half = np.array([1.2, 0.8, 0.9] if shape == "sphere" else [0.9, 1.1, 0.9])
     turn = rotation(0.4, -0.3, 0.5)
     surface = Surface(shape, np.array([0.3, -0.2, 6.0]), turn, half, np.zeros((2, 2, 3), np.float32))
-    direction = (*rng.uniform(-0.4, 0.4, (2, 300)), np.ones(300))
-    origin = (np.full(300, 1.0), np.zeros(300), np.zeros(300))
+    direction = (*np.random.default_rng(8).uniform(-0.4, 0.4, (2, 300)), np.ones(300))
+    origin = (np.ones(300), np.zeros(300), np.zeros(300))
     found = surface.hit(origin, direction)
     steps, expected = np.linspace(3, 9, 6001), np.full(300, np.inf)
     for ray, (start, along) in enumerate(zip(np.transpose(origin), np.transpose(direction), strict=True)):

@@ -41,10 +41,8 @@ def test_a_measure_that_writes_into_the_costs_is_found():
 @pytest.mark.parametrize("n_disparities", [1, 2, 3, 15, 16, 17, 31, 33, 60])
 @pytest.mark.parametrize("levels", [None, 3])
 def test_every_curve_measure_agrees_with_its_reference(dtype, n_disparities, levels):
-    costs = random_costs((40, n_disparities), dtype, n_disparities, levels)
-    costs[0] = 5  # flat
-    costs[1] = np.arange(n_disparities)
-    costs[2] = np.arange(n_disparities)[::-1]
+    costs, ramp = random_costs((40, n_disparities), dtype, n_disparities, levels), np.arange(n_disparities)
+    costs[0], costs[1], costs[2] = 5, ramp, ramp[::-1]
     valid = np.random.default_rng(1).integers(1, n_disparities + 1, 40)
     got = CostCurves(costs, valid).statistics
     maps = {name: curve_measure(name, costs, valid) for name in CURVE_MEASURES}

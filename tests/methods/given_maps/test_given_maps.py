@@ -87,9 +87,8 @@ def test_a_wider_limit_is_never_less_likely(evidence: _planes.Evidence, broken: 
 
 
 def test_pixels_beyond_the_right_image():
-    values, right = np.array([[2, 0, 2, 3]], np.float32), np.array([[2, 0, 0, 0]], np.float32)
-    nowhere = values < 0
-    status = given_maps.with_reasons(values, nowhere, np.ones_like(values), values == 2)
+    values, right = np.array([[2, 0, 2, 3], [2, 0, 0, 0]], np.float32)[:, None]
+    status = given_maps.with_reasons(values, values < 0, np.ones_like(values), values == 2)
     assert status.tolist() == [[Status.OUT_OF_RANGE, 0, Status.OCCLUDED, 0]]
     assert given_maps._left_right(SimpleNamespace(values=values), None, right).tolist() == [[-16, 0, 0, -1]]
 
@@ -102,9 +101,9 @@ def test_the_costs_are_those_of_the_preset_fast():
 def test_one_map_has_no_relation_to_others(evidence: _planes.Evidence, broken: np.ndarray):
     assert not given_maps.judged_maps(evidence, [broken])[0].others.any()
     first, second = given_maps.judged_maps(evidence, [broken, np.where(np.isnan(broken), broken, broken + 3)])
-    assert first.plane("nearest_map")[10, 80] == pytest.approx(3)
-    assert second.plane("above_middle")[10, 80] == pytest.approx(3)
     assert len(first.others) == len(_planes.OTHERS)
+    for judged, name in ((first, "nearest_map"), (second, "above_middle")):
+        assert judged.plane(name)[10, 80] == pytest.approx(3)
     refused(ValueError, given_maps.judged_maps, evidence, [broken[:, 1:]])
 
 
@@ -116,9 +115,8 @@ def test_wrong_pixels_are_doubted_and_hidden_ones_found(pair: StereoPair, scene:
     assert judgment.probability[off].mean() < 0.25 < 0.9 < judgment.probability[right].mean()
     assert (judgment.probability[np.isnan(broken)] == 0).all()
     assert (judgment.status[np.isnan(broken)] == Status.NO_DATA).all()
-    hidden = (judgment.status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
-    both = np.count_nonzero(hidden & ~scene.nonocc)
-    assert 2 * both / (hidden.sum() + np.count_nonzero(~scene.nonocc)) > 0.7
+    hidden, true = (judgment.status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0, ~scene.nonocc
+    assert 2 * np.sum(hidden & true) / (hidden.sum() + true.sum()) > 0.7
     assert set(judgment.confidence) == set(given_maps.MEASURES)
     assert all(np.isfinite(values[np.isfinite(broken)]).all() for values in judgment.confidence.values())
 
@@ -129,19 +127,17 @@ def test_the_best_of_two_halves(pair: StereoPair, scene: SyntheticScene, surface
     upper[:60] += 5
     lower[60:] -= 3
     best = fuse(networks(), pair, [upper, np.clip(lower, 0, None)], 32, surfaces=surfaces)
-    assert wrong(best, scene) < 0.05
-    assert np.isfinite(best.disparity.values).all()
+    assert wrong(best, scene) < 0.05 and np.isfinite(best.disparity.values).all()
     assert best.probability[scene.nonocc].mean() > 0.8
 
 
 def test_without_a_right_image_only_the_shape_counts(pair: StereoPair, scene: SyntheticScene):
-    values = scene.disparity_left.copy()
+    values, judge = scene.disparity_left.copy(), given_maps.judge_by_one_view
     values[40:60, 60:90] += np.random.default_rng(0).normal(0, 4, (20, 30)).astype(np.float32)
-    measures = ["smoothness", "census"]
-    found = given_maps.judge_by_one_view(networks(), pair.left, np.clip(values, 0, 32), 32, measures=measures)
+    found = judge(networks(), pair.left, np.clip(values, 0, 32), 32, measures=["smoothness", "census"])
     assert found.probability[42:58, 62:88].mean() < found.probability[80:110, 20:140].mean() - 0.3
     assert set(found.confidence) == {"smoothness"}
-    refused(ValueError, given_maps.judge_by_one_view, networks(), pair.left, values[1:], 32)
+    refused(ValueError, judge, networks(), pair.left, values[1:], 32)
 
 
 def error_of(values: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -151,22 +147,20 @@ def error_of(values: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def check_bounds(scene: RealScene, tolerance: float):
-    """Shares inside of bounds of three levels, more if it is not known how a map was made, and nearly none of maps
-    that the images contradict."""
+    """Shares inside of bounds, more if it is not known how a map was made, and nearly none of contradicted maps."""
     pair, truth, top = scene
     values = preset("stereo", "fast").pipeline(pair, top).disparity.values
     known, error = error_of(values, truth.values)
     for level in (0.5, 0.9, 0.98):
         probability, bound = given_maps.bounds(networks(), pair, values, np.False_, top, level=level)
-        assert np.mean(error <= bound[known]) == pytest.approx(level, abs=tolerance)
-        assert np.isfinite(bound).all()
         given = given_maps.judge(networks(), pair, [values], top, level=level).bound
-        assert np.mean(error <= given[known]) > np.mean(error <= bound[known]) - 0.005
+        inside, among_others = (np.mean(error <= each[known]) for each in (bound, given))
+        assert inside == pytest.approx(level, abs=tolerance) and np.isfinite(bound).all()
+        assert among_others > inside - 0.005
     assert probability[known].mean() == pytest.approx(np.mean(error <= 1), abs=0.05)
     for other in (np.zeros_like(values), np.nan_to_num(truth.values).astype(np.float32) / 16, values[::-1].copy()):
         judgment = given_maps.judge(networks(), pair, [other], top)
-        assert judgment.probability[known].mean() < 0.1
-        assert np.median(judgment.bound) > 8
+        assert judgment.probability[known].mean() < 0.1 and np.median(judgment.bound) > 8
 
 
 @pytest.mark.slow
@@ -191,9 +185,9 @@ def test_filled_values_are_less_sure(pair: StereoPair, scene: SyntheticScene):
     values, filled = scene.disparity_left, np.zeros(scene.disparity_left.shape, bool)
     filled[30:60, 50:90] = True
     (sure, low), (less, high) = (given_maps.bounds(networks(), pair, values, f, 32) for f in (np.False_, filled))
-    assert (less[filled] < sure[filled]).all() and (high[filled] > low[filled]).all()
-    np.testing.assert_array_equal(less[~filled], sure[~filled])
-    np.testing.assert_array_equal(high[~filled], low[~filled])
+    for smaller, larger in ((less, sure), (low, high)):
+        assert (smaller[filled] < larger[filled]).all()
+        np.testing.assert_array_equal(smaller[~filled], larger[~filled])
 
 
 def test_a_map_is_doubted_as_a_whole_where_it_contradicts_the_distinct_matches():

@@ -61,8 +61,7 @@ def test_planes_whose_windows_did_not_change_are_taken_over():
 
 
 def test_votes_agree_with_the_reference():
-    rng = np.random.default_rng(5)
-    shape = (43, 90)
+    rng, shape = np.random.default_rng(5), (43, 90)
     lab = rng.integers(60, 160, (*shape, 3), dtype=np.uint8)
     disparity = random_map(rng, shape)
     trust = np.where(np.isnan(disparity), 0, rng.random(shape)).astype(np.float32)
@@ -77,20 +76,17 @@ def test_votes_agree_with_the_reference():
     extra = ExtraVotes(added, np.broadcast_to(bonus[:, None, None], added.shape).copy())
     values, shares = cast_votes(pixels, lab, voters, GapLimits(limit, beyond), extra, 0.3, 4, 40.0, sigma)
     voting = planes.value[(trust > 0) & ~np.isnan(planes.value)]
-    unit = 0.3 * 5 / 3
+    agree, unit = 0, 0.3 * 5 / 3
     low = float(voting.min()) - 8 * unit
     bins = int((float(voting.max()) - low) / unit) + 10
-    agree = 0
+    parts = (planes.value, planes.slope_x, planes.slope_y)
     for n, pixel in enumerate(pixels):
-        parts = (planes.value, planes.slope_x, planes.slope_y)
         mass, moment = naive.histogram(pixel, lab, parts, trust, limit, beyond, low, unit, bins, 40.0, 2 * 1.1**24)
-        cast = mass.sum()
-        row, column = pixel
-        for value, share in zip(added[:, row, column], bonus, strict=True):
+        extras = added[:, pixel[0], pixel[1]]
+        for value, vote in zip(extras, bonus * mass.sum(), strict=True):
             if not np.isnan(value):
-                k = int((value - low) / unit)
-                mass[k] += share * cast
-                moment[k] += share * cast * value
+                mass[int((value - low) / unit)] += vote
+                moment[int((value - low) / unit)] += vote * value
         expected = naive.modes(mass, moment, 4)
         mine = [(v, s) for v, s in zip(values[n], shares[n], strict=True) if not np.isnan(v)]
         agree += len(mine) == len(expected) and np.allclose(mine, expected, atol=0.02)
@@ -111,8 +107,8 @@ def test_outline_offsets_are_the_simulated_fattening(fattening):
 def test_shadows_are_measured_on_both_sides():
     sample = large(discs=0)
     found = measure_shadows(sample.disparity, 1.5)
-    assert found.left.confidence > 0.7 and found.left.scale == 1 and found.left.covered == 0
-    assert found.right.confidence < 0.25
+    assert (found.left.scale, found.left.covered) == (1, 0)
+    assert found.left.confidence > 0.7 > 0.25 > found.right.confidence
     mirrored = measure_shadows(np.ascontiguousarray(sample.disparity[:, ::-1]), 1.5)
     assert (mirrored.right, mirrored.left) == (found.left, found.right)
 
@@ -123,26 +119,25 @@ def test_the_width_of_shadows_is_measured(baseline, covered):
     shadow = measure_shadows(sample.disparity, 1.5).left
     assert shadow.confidence > 0.4
     step = np.median(np.diff(sample.truth)[np.diff(sample.truth) > 2])
-    expected = baseline * step - (4 if covered else 0)
-    assert shadow.scale * step - shadow.covered == pytest.approx(expected, abs=2.0)
+    assert shadow.scale * step - shadow.covered == pytest.approx(baseline * step - 4 * covered, abs=2.0)
 
 
 def test_limits_and_rims_of_shadows():
-    truth = np.full((30, 120), 10.0, np.float32)
-    truth[:, 60:90] = 22.0
+    columns = np.arange(120)
+    truth = np.tile(np.where((columns >= 60) & (columns < 90), np.float32(22), np.float32(10)), (30, 1))
     sample = simulate_kinect(np.full((30, 120, 3), 90, np.uint8), truth, 0, noise=0.0, discs=0)
     planes = window_planes(sample.disparity, np.ones_like(truth), 0.1)
-    limit, beyond = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, Shadows(Shadow(1.0)))
+    maps = lab_of(sample.color), sample.disparity
+    limit, beyond = shadow_limits(*maps, planes, 1.0, 0.3, Shadows(Shadow(1.0)))
     rim, bonus = shadow_background(sample.disparity, planes, 1.0, Shadows(Shadow(1.0)))
-    gaps, columns = np.isnan(sample.disparity), np.arange(120)
+    gaps = np.isnan(sample.disparity)
     np.testing.assert_array_equal(gaps, np.tile((columns >= 44) & (columns < 56), (30, 1)))
     np.testing.assert_allclose(limit[:, 44:56], np.tile(22 - np.arange(12, 0, -1) + 0.3, (30, 1)), rtol=1e-5)
     np.testing.assert_allclose(rim[gaps], 10, atol=0.05)
     assert (bonus[gaps] > 0.5).all() and (beyond[gaps] < 0.05).all()
     assert np.isinf(limit[~gaps]).all() and (beyond[~gaps] == 1).all()
-    unconfident = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, Shadows())[1]
-    assert (unconfident == 1).all()
-    mirrored = [np.ascontiguousarray(m[:, ::-1]) for m in (lab_of(sample.color), sample.disparity)]
+    assert (shadow_limits(*maps, planes, 1.0, 0.3, Shadows())[1] == 1).all()
+    mirrored = [np.ascontiguousarray(each[:, ::-1]) for each in maps]
     right = Shadows(right=Shadow(1.0))
     turned = window_planes(mirrored[1], np.ones_like(truth), 0.1)
     np.testing.assert_allclose(shadow_limits(*mirrored, turned, 1.0, 0.3, right)[0][:, ::-1], limit, rtol=1e-5)
