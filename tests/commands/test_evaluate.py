@@ -22,12 +22,13 @@ from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.scores import MapResult, find_score
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
-from depthcli.io.formats.images import read_image, write_png
+from depthcli.io.formats.images import read_image
 from depthcli.report.tables import Document, chosen_text, headline_text, report_tables
 from depthcli.run.records import Record, write_record
 from depthcli.show.view import EMPTY, NO_VALUE, RIGHT, WRONG, View, draw, kind_colors
 from tests.command_line import contents
 from tests.command_line import run as run_command
+from tests.files import laid
 from tests.golden import refused, told
 
 SHAPE = (24, 32)
@@ -50,37 +51,33 @@ def evaluated(
 @pytest.fixture
 def truth(tmp_path: Path) -> Path:
     """Two scenes with masks and 8-bit truth (x8), in our own layout."""
-    rng, visible = np.random.default_rng(0), np.ones(SHAPE, bool)
-    visible[:, :8] = False
-    for folder in (tmp_path / "set" / "a", tmp_path / "set" / "b"):
+    rng, meta = np.random.default_rng(0), {"disp_scale": 8, "max_disparity": 15}
+    for name in ("a", "b"):
         image = rng.integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
-        disc = np.eye(*SHAPE, dtype=np.uint8) * np.uint8(255)
-        pictures = {"left": image, "right": image, "mask_nonocc": visible, "mask_disc": disc}
-        for name, picture in {**pictures, "disp_left": (8 * GOOD).astype(np.uint8)}.items():
-            write_png(folder / f"{name}.png", picture)
-        (folder / "meta.json").write_text(json.dumps({"disp_scale": 8, "max_disparity": 15}))
+        laid(tmp_path / "set" / name, {
+            "left.png": image, "right.png": image, "disp_left.png": (8 * GOOD).astype(np.uint8), "meta.json": meta,
+            "mask_nonocc.png": np.broadcast_to(np.arange(SHAPE[1]) >= 8, SHAPE),
+            "mask_disc.png": np.eye(*SHAPE, dtype=np.uint8) * np.uint8(255),
+        })  # fmt: skip
     return tmp_path / "set"
 
 
 def run_of(folder: Path, maps: dict[str, np.ndarray] | None = None) -> Path:
     """Write a run; by default, one whose maps are the truth."""
-    for name, values in ({"a": GOOD, "b": GOOD} if maps is None else maps).items():
-        write_pfm(folder / name / "disp_left.pfm", values)
-    return folder
+    given = {"a": GOOD, "b": GOOD} if maps is None else maps
+    return laid(folder, {f"{name}/disp_left.pfm": values for name, values in given.items()})
 
 
 def others(folder: Path, place: str) -> Path:
     """A folder with a perfect map of every scene, under another program's names; the ending says the kind."""
     for file in (folder / place.replace("{scene}", name) for name in ("a", "b")):
         file.parent.mkdir(parents=True, exist_ok=True)
-        if file.suffix == ".pfm":
-            write_pfm(file, GOOD)
-        elif file.suffix == ".npz":
+        if file.suffix == ".npz":
             np.savez_compressed(file, disp=GOOD, seconds=np.ones(3))
         elif file.suffix == ".tiff":
             cv2.imwrite(str(file), GOOD)
         else:
-            write_png(file, np.rint(GOOD * 100).astype(np.uint16))
+            laid(file.parent, {file.name: GOOD if file.suffix == ".pfm" else np.rint(GOOD * 100).astype(np.uint16)})
     return folder
 
 
@@ -111,25 +108,27 @@ def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
     assert tuple(colors[EMPTY]) == NO_VALUE == tuple(draw(View(np.full((1, 1), np.nan)), "values")[0, 0])
 
 
-def test_maps_of_other_programs(tmp_path: Path, truth: Path):
-    flat, kit, devkit = (tmp_path / name for name in ("flat", "kit", "devkit"))
-    write_png(flat / "a.png", (GOOD * 8).astype(np.uint8))  # Middlebury-scaled, 8 bit
-    np.save(flat / "b.npy", np.rint(GOOD * 16).astype(np.int16))  # OpenCV, 16 bit
-    write_pfm(kit / "a" / "disp0ours.pfm", GOOD)
-    write_pfm(kit / "a" / "disp0ours_s.pfm", GOOD + 5)
-    np.save((kit / "b.npy"), GOOD)
-    write_disparity_png(devkit / "disp_0" / "a.png", GOOD)
-    write_pfm(devkit / "low_res_two_view" / "b.pfm", GOOD)
-    report = evaluated([flat, kit, devkit], truth)
+def test_maps_of_other_programs_and_scene_names_without_their_data_set(tmp_path: Path, truth: Path):
+    laid(tmp_path, {
+        "flat/a.png": (GOOD * 8).astype(np.uint8), "flat/b.npy": np.rint(GOOD * 16).astype(np.int16),  # as OpenCV
+        "kit/a/disp0ours.pfm": GOOD, "kit/a/disp0ours_s.pfm": GOOD + 5, "kit/b.npy": GOOD,
+        "devkit/low_res_two_view/b.pfm": GOOD,
+    })  # fmt: skip
+    write_disparity_png(tmp_path / "devkit" / "disp_0" / "a.png", GOOD)
+    report = evaluated([tmp_path / name for name in ("flat", "kit", "devkit")], truth)
     assert report.failed == [] and [bad(result, "nonocc") for result in report.results] == [0] * 6
     assert report.results[1].source == "a/disp0ours.pfm"
+    long = run_of(tmp_path / "long", {"set/a": GOOD, "set/b": GOOD})
+    shutil.copytree(truth, tmp_path / "over" / "set")
+    for where in (truth, tmp_path / "over"):
+        assert evaluated([run_of(tmp_path / "short"), long], where).failed == []
 
 
 def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
     run, broken = run_of(tmp_path / "run", {"b": GOOD[:10]}), run_of(tmp_path / "broken")
-    (broken / "a" / "disp_left.pfm").write_bytes(b"Pf\n3 3\n-1\nxx")
+    laid(broken, {"a/disp_left.pfm": b"Pf\n3 3\n-1\nxx"})
     says = run_of(tmp_path / "told", {"b": GOOD})
-    (says / "report.json").write_text(json.dumps({"scenes": [{"scene": "a", "status": "failed", "error": "too dark"}]}))
+    laid(says, {"report.json": {"scenes": [{"scene": "a", "status": "failed", "error": "too dark"}]}})
     report = evaluated([run, broken, says], truth, tmp_path / "out")
     reasons = {(r.run, r.scene): r.error for r in report.failed}
     assert set(reasons) == {("run", "a"), ("run", "b"), ("broken", "a"), ("told", "a")}
@@ -158,10 +157,10 @@ def test_confidence_gives_curves(tmp_path: Path, truth: Path):
     wrong = GOOD.copy()
     wrong[:6] += 3
     run = run_of(tmp_path / "run", {"a": wrong, "b": GOOD})
-    write_pfm(run / "a" / "confidence_oracle.pfm", np.where(wrong == GOOD, 1, 0).astype(np.float32))
-    write_pfm(run / "a" / "confidence_blind.pfm", np.zeros(SHAPE, np.float32))
-    write_pfm(run / "b" / "confidence_small.pfm", np.zeros((3, 3), np.float32))
-    np.save(run / "b" / "confidence_levels.npy", np.full(SHAPE, -3, np.int16))
+    laid(run, {
+        "a/confidence_oracle.pfm": (wrong == GOOD).astype(np.float32), "a/confidence_blind.pfm": 0 * GOOD,
+        "b/confidence_small.pfm": 0 * GOOD[:3, :3], "b/confidence_levels.npy": np.full(SHAPE, -3, np.int16),
+    })  # fmt: skip
     report = evaluated([run], truth, tmp_path / "out")
     curves = {(c.region, c.confidence, c.of): c.line for c in report.results[0].curves}
     assert list(curves) == list(itertools.product(("nonocc", "all"), ("blind", "oracle"), ("bad", "error")))
@@ -178,18 +177,9 @@ def test_confidence_gives_curves(tmp_path: Path, truth: Path):
     assert "confidence_small.pfm" in report.warnings()[0]
 
 
-def test_scene_names_match_with_and_without_their_data_set(tmp_path: Path, truth: Path):
-    runs = [run_of(tmp_path / "short"), run_of(tmp_path / "long", {"set/a": GOOD, "set/b": GOOD})]
-    shutil.copytree(truth, tmp_path / "over" / "set")
-    for where in (truth, tmp_path / "over"):
-        assert evaluated(runs, where).failed == []
-
-
 def test_a_run_of_other_scenes_is_told(tmp_path: Path, truth: Path):
-    run = run_of(tmp_path / "run", {})
-    run.mkdir()
     for name, status in (("c", "done"), ("b", "failed")):
-        (run / "report.json").write_text(json.dumps({"scenes": [{"scene": name, "status": status}]}))
+        run = laid(tmp_path / "run", {"report.json": {"scenes": [{"scene": name, "status": status}]}})
         hints = evaluated([run], truth).hints
         assert not hints if name == "b" else "(c)" in hints[0] and "(a, b)" in hints[0]
 
@@ -214,28 +204,18 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
     (out / "notes.txt").write_text("mine")
     evaluated([other], truth, out)
     assert set(contents(out)) == {name.replace("/run/", "/other/") for name in before} | {"notes.txt"}
-    (out / "errors/run").mkdir()
-    (out / "errors/run/a.png").write_text("mine")  # beside a record: found when results are moved in
+    laid(out, {"errors/run/a.png": "mine"})  # beside a record: found when results are moved in
     refused(OutputError, evaluated, [run], truth, out)
     assert (out / "errors/other/a.png").is_file() and not list(out.glob(".partial*"))
 
     monkeypatch.setattr("depthcli.evaluation.evaluate._Scoring.all_results", None)  # nothing is computed from here on
     for name in ("scores.csv", "report.md", "contact_sheet.png", "errors/run/deeper/a.png"):
-        (mine / name).parent.mkdir(parents=True, exist_ok=True)
-        (mine / name).write_text("mine")
+        laid(mine, {name: "mine"})
         tool.told(2, "evaluate", run, "--truth", truth, "-o", mine)
         assert contents(mine) == {name: b"mine"}
         shutil.rmtree(mine)
     write_record(run, Record("", "another", {}, {}, {}))
     refused(ConfigError, evaluated, [run], truth, run)
-
-
-def test_nothing_to_evaluate(tmp_path: Path, truth: Path):
-    for runs in ([], [tmp_path / "absent"], [truth, truth]):
-        refused(InputError, evaluated, runs, truth)
-    for name in ("a", "b"):
-        (truth / name / "disp_left.png").unlink()
-    refused(InputError, evaluated, [tmp_path], truth)
 
 
 @pytest.mark.slow
@@ -261,9 +241,7 @@ def test_absurd_values_and_damaged_maps_never_break_the_job(tmp_path: Path, trut
 
 def test_a_run_that_cannot_be_read_is_left_out_and_pairs_are_compared(tmp_path: Path, truth: Path, tool):
     one, two = (run_of(tmp_path / name, {"a": GOOD + k, "b": GOOD + k}) for name, k in (("one", 0), ("two", 2)))
-    three = tmp_path / "three"
-    (three / "a").mkdir(parents=True)
-    np.save(three / "a" / "disp_left.npy", np.zeros((2, 5, 6), np.float32))
+    three = laid(tmp_path / "three", {"a/disp_left.npy": np.zeros((2, 5, 6), np.float32)})
     words = ("--truth", truth, "-o", tmp_path / "out", "--compare", "all")
     out, err = tool.both(3, "evaluate", one, two, three, *words)
     assert "three" not in out and any("three" in line and "left out" in line for line in err.splitlines())
@@ -307,7 +285,7 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
 
 def test_the_protocol_is_given_or_named_by_the_scene(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run")
-    (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitti_2012"}))
+    laid(truth, {"a/meta.json": {"disp_scale": 8, "protocol": "kitti_2012"}})
     both = evaluated([run], truth)  # different benchmarks are never averaged or compared with each other
     assert [r.protocol for r in both.results] == ["kitti-2012", "middlebury-v2"]
     assert [(s.protocol.name, s.scenes) for s in both.sections] == [("kitti-2012", ["a"]), ("middlebury-v2", ["b"])]
@@ -337,10 +315,10 @@ def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, tool):
     ("depth", "gt", "depth"), ("m", "depth_true", "depth"), ("m", "gt", "middlebury-v2"),
 ])  # fmt: skip
 def test_files_called_depth_are_no_disparities(tmp_path: Path, tool, name: str, true: str, protocol: str):
-    files = tmp_path / "a" / f"{name}.png", tmp_path / "b" / f"{true}.png"
-    for file in files:
-        write_png(file, np.full(SHAPE, 700, np.uint16))
-    out, err = tool.both(0, "evaluate", files[0], "--truth", files[1], "--json", "--scale", "256")
+    file, single = f"a/{name}.png", f"b/{true}.png"
+    laid(tmp_path, dict.fromkeys((file, single), np.full(SHAPE, 700, np.uint16)))
+    words = ("--truth", tmp_path / single, "--json", "--scale", "256")
+    out, err = tool.both(0, "evaluate", tmp_path / file, *words)
     assert json.loads(out)["results"][0]["protocol"] == protocol
     assert f"by {protocol}, unless --protocol" in err
 
@@ -370,8 +348,7 @@ def test_each_run_has_its_own_scale_and_invalid_value(tmp_path: Path, truth: Pat
     plain, codes, out = others(tmp_path / "plain", "{scene}.pfm"), tmp_path / "codes", tmp_path / "out"
     values = GOOD * 16
     values[:, -8:] = 7
-    for name in ("a", "b"):
-        write_pfm(codes / f"{name}_raw.pfm", values)
+    laid(codes, {"a_raw.pfm": values, "b_raw.pfm": values})
     line = ("evaluate", f"p={plain}", f"c={codes}", "--truth", truth, "-o", out, "--protocol", "eth3d")
     assert run_command(*line, "--pattern", "c={scene}_raw.pfm", "--scale", "c=16", "--invalid", "c=7") == 0
     found = {(r["run"], r["metric"]): float(r["value"]) for r in rows(out) if r["scene"] == "a" and r["mask"] == "all"}
@@ -384,15 +361,14 @@ def test_a_folder_with_several_kinds_of_maps_is_refused(tmp_path: Path, truth: P
     line = ("evaluate", folder, "--truth", truth, "-q")
     others(folder, "{scene}/confidence.pfm")  # named as something else
     assert run_command(*line) == 0
-    for name in ("a", "b"):
-        (folder / name / "log.pfm").write_bytes(b"no map")
+    laid(folder, {"a/log.pfm": "no map", "b/log.pfm": "no map"})
     assert run_command(*line) == 0
     others(folder, "{scene}/second.tiff")
     tool.told(2, *line)
     assert run_command(*line, "--pattern", "x={scene}/second.tiff") == 0
 
 
-def test_options_that_do_not_fit(tmp_path: Path, truth: Path, tool):
+def test_nothing_to_evaluate_and_options_that_do_not_fit(tmp_path: Path, truth: Path, tool):
     line = ("evaluate", others(tmp_path / "x", "{scene}.pfm"), "--truth", truth)
     tool.told(0, *line, "--resolution", "q")
     for options in (
@@ -402,16 +378,19 @@ def test_options_that_do_not_fit(tmp_path: Path, truth: Path, tool):
         ("--format", "latex", "--tables", "scenes", "--caption", "x"),
     ):  # fmt: skip
         tool.told(2, *line, *options)
+    for runs in ([], [tmp_path / "absent"], [truth, truth]):
+        refused(InputError, evaluated, runs, truth)
+    for name in ("a", "b"):
+        (truth / name / "disp_left.png").unlink()
+    refused(InputError, evaluated, [tmp_path], truth)
 
 
 def test_frames_that_look_like_kitti_are_named_once(tmp_path: Path, tool):
-    rng, maps = np.random.default_rng(0), {}
-    for name in ("f0", "f1"):  # of KITTI's size, with truth at a fifth of the pixels
-        maps[name] = np.broadcast_to(np.linspace(5, 60, 1242, dtype=np.float32), (375, 1242)).copy()
-        for side in ("left", "right"):
-            write_png(tmp_path / "set" / name / f"{side}.png", np.zeros((375, 1242), np.uint8))
-        sparse = np.where(rng.random(maps[name].shape) < 0.2, maps[name], np.nan)
-        write_disparity_png(tmp_path / "set" / name / "disp_left.png", sparse)
+    rng, shape, full = np.random.default_rng(0), (375, 1242), np.linspace(5, 60, 1242, dtype=np.float32)
+    maps = {name: np.broadcast_to(full, shape).copy() for name in ("f0", "f1")}
+    for name, values in maps.items():  # of KITTI's size, with truth at a fifth of the pixels
+        folder = laid(tmp_path / "set" / name, dict.fromkeys(("left.png", "right.png"), np.zeros(shape, np.uint8)))
+        write_disparity_png(folder / "disp_left.png", np.where(rng.random(shape) < 0.2, values, np.nan))
     runs = [run_of(tmp_path / name, maps) for name in ("x", "y")]
     command = ("evaluate", *runs, "--truth", tmp_path / "set")
     tool.told(0, *command, "-o", tmp_path / "out")
@@ -461,7 +440,7 @@ def test_a_table_for_a_paper(tmp_path: Path, truth: Path, tool):
     assert r"run & b & mean of 2 \\" in out and r"\begin{tabular}{lrr}" in out and out.count(r"\begin{table}") == 1
     for run, seconds in zip(runs, (2.5, 0.5), strict=True):
         done = [{"scene": scene, "status": "done", "seconds": {"match": seconds}} for scene in ("a", "b")]
-        (run / "report.json").write_text(json.dumps({"scenes": done}))
+        laid(run, {"report.json": {"scenes": done}})
     out = tool.out(0, *command, "headline", "--columns", "nonocc,seconds")
     assert r"\textbf{0.50} \\" in out and r"\underline{2.50} \\" in out
     for columns in ("nonocc", "nonocc,p (Holm)"):
