@@ -12,9 +12,10 @@ from depthcli.core.errors import InputError
 from depthcli.core.maps import Status
 from depthcli.io.formats.calibrations import Reading, read_geometry, write_geometry
 from depthcli.io.formats.depth import read_depth
-from depthcli.io.formats.disparity import read_pfm, read_status, write_disparity_png, write_pfm
-from depthcli.io.formats.images import read_image, write_png
+from depthcli.io.formats.disparity import read_pfm, read_status, write_disparity_png
+from depthcli.io.formats.images import read_image
 from tests.command_line import rows, run, vertices
+from tests.files import laid
 from tests.golden import refused
 
 V3 = """cam0=[713.189 0 56.021; 0 713.189 38.263; 0 0 1]
@@ -40,11 +41,8 @@ def matched(two_scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple
     """A folder of two scenes of the layout middlebury-v3 and a run on them, with a confidence map and filled pixels."""
     place = tmp_path_factory.mktemp("depth")
     for scene in two_scenes.glob("*/left.png"):
-        folder = place / "scenes" / scene.parent.name
-        folder.mkdir(parents=True)
-        for name, file in (("im0.png", "left.png"), ("im1.png", "right.png")):
-            shutil.copy(scene.with_name(file), folder / name)
-        (folder / "calib.txt").write_text(V3)
+        left, right = (scene.with_name(f"{side}.png").read_bytes() for side in ("left", "right"))
+        laid(place / "scenes" / scene.parent.name, {"im0.png": left, "im1.png": right, "calib.txt": V3})
     extra = ("--set", "confidence=[apkr, msm]")
     assert run("stereo", "fast", "-i", place / "scenes", "-o", place / "run", *extra, "-q") == 0
     return place / "scenes", place / "run"
@@ -131,11 +129,10 @@ def test_where_the_calibration_comes_from(matched: tuple[Path, Path], tmp_path: 
 
 def test_other_cameras_of_a_calibration_give_another_depth(tmp_path: Path):
     scenes, out = tmp_path / "scenes", tmp_path / "d"
-    write_pfm(tmp_path / "run/000000/disp_left.pfm", np.full((20, 30), 7, np.float32))
+    laid(tmp_path, {"run/000000/disp_left.pfm": np.full((20, 30), 7, np.float32)})
     for first, depth in ((0, 371 / 7), (2, 383.4 / (7 + 2))):  # the same images as of the grey, then the color cameras
-        for side in (0, 1):
-            write_png(scenes / f"image_{first + side}/000000.png", np.zeros((20, 30), np.uint8))
-        (scenes / "calib.txt").write_text(KITTI)
+        names = (f"image_{first + side}/000000.png" for side in (0, 1))
+        laid(scenes, {**dict.fromkeys(names, np.zeros((20, 30), np.uint8)), "calib.txt": KITTI})
         assert run("depth", tmp_path / "run", "-i", scenes, "-o", out, "-q") == 0
         np.testing.assert_allclose(read_pfm(out / "000000/depth.pfm"), depth, rtol=1e-6)
         shutil.rmtree(scenes / "image_0", ignore_errors=True)
@@ -144,10 +141,8 @@ def test_other_cameras_of_a_calibration_give_another_depth(tmp_path: Path):
 def test_a_single_map_of_far_things(tmp_path: Path, tool):
     values = np.full((20, 30), 0.5, np.float32)
     values[:, :10], values[0, 0] = 20, np.nan
-    write_pfm(tmp_path / "map.pfm", values)
+    laid(tmp_path, {"map.pfm": values, "left.png": np.full((20, 30), 90, np.uint8), "calib.txt": KITTI})
     write_disparity_png(tmp_path / "map.png", values)
-    write_png(tmp_path / "left.png", np.full((20, 30), 90, np.uint8))
-    (tmp_path / "calib.txt").write_text(KITTI)
     known = ("--calibration", tmp_path / "calib.txt", "--left", tmp_path / "left.png", "--ply")
     for name, *scale in (("map.pfm",), ("map.png", "--scale", "256")):
         made = tmp_path / name[-3:] / "map"
@@ -163,18 +158,15 @@ def test_a_single_map_of_far_things(tmp_path: Path, tool):
     np.testing.assert_allclose(ends, (14.5, 9.5), rtol=1e-5)
 
 
-def test_the_run_has_moved(matched: tuple[Path, Path], tmp_path: Path, tool):
-    scenes, copy = matched[0], tmp_path / "run"
-    shutil.copytree(matched[1] / SCENE, copy / SCENE, ignore=shutil.ignore_patterns("record.json"))
+def test_a_run_that_has_moved_and_a_scene_whose_map_is_gone(matched, tmp_path: Path, tool):
+    (scenes, run_folder), copy, made = matched, tmp_path / "moved", tmp_path / "run"
+    shutil.copytree(run_folder / SCENE, copy / SCENE, ignore=shutil.ignore_patterns("record.json"))
     tool.told(3, "depth", copy, "-o", tmp_path / "a", "-q")
     assert run("depth", copy, "-o", tmp_path / "b", "-i", scenes, "--ply", "-q") == 0
     for nothing in (tmp_path / "absent", scenes):
         assert run("depth", nothing, "-o", tmp_path / "c") == 2
-
-
-def test_a_scene_whose_map_is_gone_fails(matched, tmp_path: Path, tool):
-    made = shutil.copytree(matched[1], tmp_path / "run")
-    (first, second) = sorted(folder.parent.name for folder in made.glob("*/disp_left.pfm"))
+    shutil.copytree(run_folder, made)
+    first, second = sorted(folder.parent.name for folder in made.glob("*/disp_left.pfm"))
     (made / first / "disp_left.pfm").unlink()
     tool.told(3, "depth", made, "-o", tmp_path / "d", "-q")
     assert [path.parent.name for path in (tmp_path / "d").glob("*/depth.pfm")] == [second]
@@ -207,10 +199,9 @@ def test_maps_of_other_programs(matched: tuple[Path, Path], tmp_path: Path, tool
     disparity = np.full((60, 100), 20, np.float32)
     disparity[:, ::2] += np.float32(0.5)
     disparity[:, :20] = -1
-    write_pfm(tmp_path / "float.pfm", disparity)
-    np.save(tmp_path / "sgbm.npy", np.rint(disparity * 16).astype(np.int16))
-    write_png(tmp_path / "codes.png", np.rint(np.maximum(disparity, 0) * 64).astype(np.uint16))
-    np.save(tmp_path / "raft.npy", -disparity)
+    codes = np.rint(np.maximum(disparity, 0) * 64).astype(np.uint16)
+    laid(tmp_path, {"float.pfm": disparity, "codes.png": codes, "raft.npy": -disparity,
+                    "sgbm.npy": np.rint(disparity * 16).astype(np.int16)})  # fmt: skip
     by_hand = ("--focal", "400", "--baseline", "0.1", "-o", tmp_path / "out", "--overwrite")
     for name, options, says in (
         ("float.pfm", (), "20 % of the pixels are -1: taken as no value"),
@@ -230,10 +221,9 @@ def test_maps_of_other_programs(matched: tuple[Path, Path], tmp_path: Path, tool
 
 def test_a_map_of_a_run_alone_keeps_its_status_and_bound(tmp_path: Path):
     folder, status = tmp_path / "run" / "a", np.zeros((6, 8), np.uint8)
-    for name, value in (("disp_left", 20.0), ("bound", 0.5)):
-        write_pfm(folder / f"{name}.pfm", np.full((6, 8), value, np.float32))
     status[2:4] = Status.OCCLUDED | Status.FILLED
-    write_png(folder / "status.png", status)
+    plane = np.ones((6, 8), np.float32)
+    laid(folder, {"disp_left.pfm": 20 * plane, "bound.pfm": plane / 2, "status.png": status})
     line = ("depth", folder / "disp_left.pfm", "--focal", 400, "--baseline", 0.1, "--mask", "measured", "-q", "-o")
     assert run(*line, tmp_path / "foreign") == 0  # without a record the files beside may be of another map
     assert np.isfinite(read_pfm(tmp_path / "foreign/disp_left/depth.pfm")).all()

@@ -13,11 +13,11 @@ import depthcli
 from depthcli.core.errors import ConfigError
 from depthcli.core.frames import StereoPair
 from depthcli.io.formats.disparity import read_pfm
-from depthcli.io.formats.images import write_png
 from depthcli.io.formats.networks import network_path
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.testing.inputs import shifted_pair
 from tests.command_line import Tool, run
+from tests.files import laid
 from tests.golden import refused
 from tests.methods.stereo._networks import block_matcher, has_onnx, local_features
 
@@ -25,8 +25,7 @@ needs_onnx = pytest.mark.skipif(not has_onnx(), reason="onnxruntime or onnx is n
 
 
 def write_pair(folder: Path, pair: StereoPair) -> None:
-    write_png(folder / "left.png", pair.left)
-    write_png(folder / "right.png", pair.right)
+    laid(folder, {"left.png": pair.left, "right.png": pair.right})
 
 
 @pytest.fixture

@@ -24,6 +24,7 @@ from depthcli.methods.stereo.rectification import rectify_uncalibrated, row_erro
 from depthcli.problems import rectified
 from tests.boards import opencv
 from tests.command_line import contents, rows, run
+from tests.files import laid
 from tests.golden import refused
 
 SIZE = (240, 180)
@@ -79,8 +80,8 @@ class Shot(NamedTuple):
 
 
 def shot(folder: Path, taken: Rig) -> Shot:
-    write_png(folder / "left.png", photo(taken.left, np.eye(3), np.zeros(3)))
-    write_png(folder / "right.png", photo(taken.right, taken.rotation, taken.translation))
+    right = photo(taken.right, taken.rotation, taken.translation)
+    laid(folder, {"left.png": photo(taken.left, np.eye(3), np.zeros(3)), "right.png": right})
     return Shot(taken, folder / "left.png", folder / "right.png")
 
 
@@ -527,9 +528,8 @@ def test_without_calibration(pinhole: Shot, tmp_path: Path, tool):
     assert "without a calibration" in err and not (tmp_path / "depth/room/depth.pfm").exists()
     # Two photos of different things, and photos without anything on them.
     noise = np.random.default_rng(0).integers(0, 255, (180, 240), np.uint8)
-    write_png(tmp_path / "other.png", cv2.GaussianBlur(noise, (0, 0), 2) * np.uint8(3))
-    write_png(tmp_path / "flat.png", np.full((180, 240), 70, np.uint8))
-    write_png(tmp_path / "smaller.png", read_image(taken.right)[:170])
+    other, flat = cv2.GaussianBlur(noise, (0, 0), 2) * np.uint8(3), np.full((180, 240), 70, np.uint8)
+    laid(tmp_path, {"other.png": other, "flat.png": flat, "smaller.png": read_image(taken.right)[:170]})
     for other in ("other.png", "flat.png", "smaller.png"):
         pair = ("--left", taken.left, "--right", tmp_path / other, "--name", other)
         tool.told(3, "rectify", *pair, "--uncalibrated", "-o", scenes, "-q")
@@ -567,8 +567,7 @@ def test_points_that_no_two_cameras_explain_are_refused():
 @pytest.mark.slow
 def test_wrong_calibrations(pinhole: Shot, tmp_path: Path, tool):
     taken, line = pinhole.rig, ("rectify", *pinhole.words, "-o", tmp_path / "out", "--calibration")
-    (tmp_path / "text.yml").write_text("nothing: here\n")
-    (tmp_path / "part.yml").write_text("%YAML:1.0\n---\nalpha: 5\n")
+    laid(tmp_path, {"text.yml": "nothing: here\n", "part.yml": "%YAML:1.0\n---\nalpha: 5\n"})
     above = replace(taken, rotation=np.eye(3), translation=np.array([0.0, 0.1, 0.0]))
     swapped = opencv(tmp_path / "swapped.yml", replace(taken, translation=-taken.translation))
     for file in (

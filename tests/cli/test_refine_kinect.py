@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from depthcli.io.formats.depth import read_depth
-from depthcli.io.formats.disparity import read_pfm, read_plane, read_status, write_pfm
-from depthcli.io.formats.images import write_png
+from depthcli.io.formats.disparity import read_pfm, read_plane, read_status
 from tests.command_line import contents, rows, run, vertices
+from tests.files import laid
 from tests.golden import told
 from tests.rendered import COLOR, COLOR_SHAPE, DEPTH, DEPTH_SHAPE, ROTATION, TRANSLATION, near_edges, noisy, rendered
 
@@ -58,19 +58,16 @@ def test_single_frames_and_frames_of_sequences_are_evaluated(made_kinect: Path, 
     assert set(rows(tmp_path / "s")) == {f"0000{k}" for k in range(4)}
 
 
-def write_frame(folder: Path, depth: np.ndarray, color: int = 0) -> None:
-    write_png(folder / "color.png", np.full((20, 30, 3), color, np.uint8))
-    write_png(folder / "depth.png", depth)
+def frame(depth: np.ndarray, color: int = 0) -> dict[str, np.ndarray]:
+    return {"color.png": np.full((20, 30, 3), color, np.uint8), "depth.png": depth}
 
 
 def test_bad_frames_beside_good_ones(tmp_path: Path, tool):
     depth, given = np.full((20, 30), 1500, np.uint16), tmp_path / "in"
-    for name, bad in {
-        "eight": depth.astype(np.uint8), "empty": depth * 0, "size": depth[:10], "good": depth, "far": depth * 5,
-        "cut": depth,
-    }.items():  # fmt: skip
-        write_frame(given / name, bad)
-    (given / "cut" / "depth.png").write_bytes((given / "good" / "depth.png").read_bytes()[:-20])
+    bad = {"eight": depth.astype(np.uint8), "empty": depth * 0, "size": depth[:10], "cut": depth}
+    for name, values in {**bad, "good": depth, "far": depth * 5}.items():
+        laid(given / name, frame(values))
+    laid(given, {"cut/depth.png": (given / "good/depth.png").read_bytes()[:-20]})
     line = ("refine-kinect", "nearest", "-i")
     tool.told(3, *line, given, "-o", tmp_path / "r")
     assert {name for name, row in rows(tmp_path / "r").items() if row["status"] == "done"} == {"good", "far"}
@@ -78,7 +75,7 @@ def test_bad_frames_beside_good_ones(tmp_path: Path, tool):
     assert "warning" not in tool.err(0, *line, far, "--depth-scale", "5000", "-o", tmp_path / "s")
     np.testing.assert_array_equal(read_plane(tmp_path / "s" / "far" / "depth.png"), depth * np.uint16(5))
     (far / "depth.png").unlink()
-    write_pfm(far / "depth.pfm", np.full(depth.shape, 8.12, np.float32))  # has no scale
+    laid(far, {"depth.pfm": np.full(depth.shape, 8.12, np.float32)})  # has no scale
     assert "warning" not in tool.err(0, *line, far, "-o", tmp_path / "t")
 
 
@@ -106,7 +103,7 @@ def test_points_are_chosen_and_placed_by_options(made_kinect: Path, tmp_path: Pa
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_a_warning_of_all_frames_is_printed_once(tmp_path: Path, tool, jobs: str):
     for k in range(3):
-        write_frame(tmp_path / "in" / f"f{k}", np.full((20, 30), 7500 + k, np.uint16))
+        laid(tmp_path / "in" / f"f{k}", frame(np.full((20, 30), 7500 + k, np.uint16)))
     one, far = ("refine-kinect", "nearest", "-i", tmp_path / "in", "--ply", "--jobs", jobs, "-o"), tmp_path / "r"
     said = "the median depth is 7.5 m at 1000 codes per meter"
     err = tool.err(0, *one, far)
@@ -117,9 +114,8 @@ def test_a_warning_of_all_frames_is_printed_once(tmp_path: Path, tool, jobs: str
 
 
 def test_single_frames_and_point_clouds(tmp_path: Path, tool):
-    write_frame(tmp_path / "x", np.full((20, 30), 1000, np.uint16), color=90)
-    pair = ("--color", tmp_path / "x/color.png", "--depth", tmp_path / "x/depth.png")
-    one = ("refine-kinect", "nearest", *pair, "--ply")
+    x = laid(tmp_path / "x", frame(np.full((20, 30), 1000, np.uint16), color=90))
+    one = ("refine-kinect", "nearest", "--color", x / "color.png", "--depth", x / "depth.png", "--ply")
 
     def cloud(name: str, *options: str) -> tuple[bytes, str]:
         err = tool.err(0, *one, "-o", tmp_path / name, *options)
@@ -134,7 +130,7 @@ def test_single_frames_and_point_clouds(tmp_path: Path, tool):
     told(err)
     tool.told(2, *one, "-o", tmp_path / "none", "--near", "1.5", "--far", "1", "-q")
     given, _ = cloud("given", "--intrinsics", "50,50,15,10")
-    (tmp_path / "x" / "meta.json").write_text('{"fx": 50, "fy": 50, "cx": 15, "cy": 10}')
+    laid(x, {"meta.json": {"fx": 50, "fy": 50, "cx": 15, "cy": 10}})
     meta, err = cloud("meta", "--mask", "measured")
     assert typical != given == meta and "intrinsics" not in err
 
@@ -142,17 +138,16 @@ def test_single_frames_and_point_clouds(tmp_path: Path, tool):
 @pytest.fixture(scope="module")
 def phone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A frame whose depth has 1 / 7.5 of the color image's size and its own camera, in millimeters, with a gap."""
-    folder = tmp_path_factory.mktemp("phone") / "room"
     truth, plane = rendered(COLOR, COLOR_SHAPE)
     sensed = noisy(rendered(DEPTH, DEPTH_SHAPE, ROTATION, TRANSLATION)[0], 0.003)
     sensed[20:24, 5:9] = np.nan
-    write_png(folder / "color.png", np.array([[70, 80, 90], [160, 120, 80], [60, 160, 60]], np.uint8)[plane])
-    write_png(folder / "depth.png", np.nan_to_num(1000 * sensed).round().astype(np.uint16))
-    write_pfm(folder / "depth_true.pfm", truth.astype(np.float32))
     place = {"rotation": ROTATION.tolist(), "translation": TRANSLATION.tolist()}
-    meta = {"intrinsics": asdict(COLOR), "depth_intrinsics": asdict(DEPTH), "depth_to_color": place}
-    (folder / "meta.json").write_text(json.dumps(meta))
-    return folder.parent
+    return laid(tmp_path_factory.mktemp("phone"), {
+        "room/color.png": np.array([[70, 80, 90], [160, 120, 80], [60, 160, 60]], np.uint8)[plane],
+        "room/depth.png": np.nan_to_num(1000 * sensed).round().astype(np.uint16),
+        "room/depth_true.pfm": truth.astype(np.float32),
+        "room/meta.json": {"intrinsics": asdict(COLOR), "depth_intrinsics": asdict(DEPTH), "depth_to_color": place},
+    })  # fmt: skip
 
 
 @pytest.mark.parametrize("preset", ["nearest", "fast", pytest.param("accurate", marks=pytest.mark.slow)])

@@ -1,6 +1,5 @@
 """Archives for the benchmarks: layouts, contents, and every reason to refuse."""
 
-import json
 import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 from depthcli.evaluation.benchmarks import BENCHMARKS, TEST, TRAINING
 from depthcli.io.formats.disparity import read_disparity, write_pfm
 from tests.command_line import run
+from tests.files import laid
 from tests.golden import told
 
 V3, ETH, K15 = (BENCHMARKS[name] for name in ("middlebury-v3", "eth3d", "kitti-2015"))
@@ -19,14 +19,11 @@ V3, ETH, K15 = (BENCHMARKS[name] for name in ("middlebury-v3", "eth3d", "kitti-2
 
 def run_of(folder: Path, scenes: Iterable[str], size: Callable[[str], int], prefix: str = "", **facts: object) -> Path:
     """A run with a map of 3 rows a scene, 20 px and 1/256 px more from scene to scene."""
-    rows = []
+    rows, done = [], {"status": "done", "height": 3, "seconds": {"a": 1.0, "b": 0.25}, **facts}
     for n, scene in enumerate(scenes):
-        write_pfm(folder / prefix / scene / "disp_left.pfm", np.full((3, size(scene)), 20 + n / 256, np.float32))
-        name = f"{prefix}/{scene}" if prefix else scene
-        rows.append({"scene": name, "status": "done", "seconds": {"a": 1.0, "b": 0.25}, "width": size(scene),
-                     "height": 3, **facts})  # fmt: skip
-    (folder / "report.json").write_text(json.dumps({"scenes": rows}))
-    return folder
+        rows.append({"scene": prefix + scene, "width": size(scene), **done})
+        laid(folder / prefix / scene, {"disp_left.pfm": np.full((3, size(scene)), 20 + n / 256, np.float32)})
+    return laid(folder, {"report.json": {"scenes": rows}})
 
 
 def quarter(scene: str) -> int:
@@ -61,16 +58,15 @@ def test_middlebury_refuses_with_all_reasons(tmp_path: Path, tool):
     made = run_of(tmp_path / "run", V3.scenes[TRAINING][:-1], quarter)
     values = np.full((3, 700), 5, np.float32)
     values[1, 1] = np.nan
-    maps = {"Piano": values, "Pipes": np.full((3, 1400), 5, np.float32), "Recycle": np.full((3, 700), -1, np.float32)}
-    for name, each in maps.items():
-        write_pfm(made / name / "disp_left.pfm", each)
-    (made / "Shelves" / "disp_left.pfm").write_bytes(b"no map")
+    wide, negative = np.full((3, 1400), 5, np.float32), np.full((3, 700), -1, np.float32)
+    for name, held in {"Piano": values, "Pipes": wide, "Recycle": negative, "Shelves": b"no map"}.items():
+        laid(made / name, {"disp_left.pfm": held})
     tool.told(2, *line(made, "middlebury-v3", tmp_path / "a.zip", "--method", "our name"))
     assert not (tmp_path / "a.zip").exists()
 
 
 def test_sparse_maps_are_named_so(tmp_path: Path):
-    made, name = run_of(tmp_path / "run", V3.scenes[TEST], quarter, prefix="testQ"), "testQ/Plants/disp0OUR-1_s.pfm"
+    made, name = run_of(tmp_path / "run", V3.scenes[TEST], quarter, prefix="testQ/"), "testQ/Plants/disp0OUR-1_s.pfm"
     values = np.full((3, 700), 5, np.float32)
     values[1, 1] = np.nan
     write_pfm(made / "testQ" / "Plants" / "disp_left.pfm", values)

@@ -9,11 +9,11 @@ import pytest
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.volumes import Grid
-from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.volumes import read_volume, write_array
 from depthcli.run.console import Reporter
 from depthcli.run.flags import conditions_of, flag_rows, plain_name
 from tests.command_line import run
+from tests.files import laid
 from tests.golden import refused, told
 
 
@@ -61,11 +61,10 @@ def test_thresholds_of_smaller_images_are_named_by_those_of_the_full_size(two_sc
     truth, camera = tmp_path / "truth", "[100 0 60; 0 100 45; 0 0 1]"
     calibration = f"cam0={camera}\ncam1={camera}\ndoffs=0\nbaseline=100\nwidth=96\nheight=64\nndisp=16\n"
     for scene, value in (("planes_0", 4), ("foreground_0", 9)):
-        write_pfm(truth / scene / "disp0GT.pfm", np.full((64, 96), 4, np.float32))
-        for name, file in (("im0.png", "left.png"), ("im1.png", "right.png")):
-            shutil.copy(two_scenes / scene / file, truth / scene / name)
-        (truth / scene / "calib.txt").write_text(calibration)
-        write_pfm(tmp_path / "run" / f"{scene}.pfm", np.full((64, 96), value, np.float32))
+        left, right = ((two_scenes / scene / f"{side}.png").read_bytes() for side in ("left", "right"))
+        maps = {f"run/{scene}.pfm": np.full((64, 96), value, np.float32)}
+        files = {"im0.png": left, "im1.png": right, "calib.txt": calibration, "disp0GT.pfm": np.full((64, 96), 4.0)}
+        laid(tmp_path, maps | {f"truth/{scene}/{name}": held for name, held in files.items()})
     flags = ("--fail-flagged", "--flag", "bad 2 all>10", "--flag", "totbad 2>10", "--resolution", "H")
     out = tool.out(4, "evaluate", tmp_path / "run", "--truth", truth, "-o", tmp_path / "out", *flags)
     assert re.search(r"foreground_0 +run +bad 2 all 100 > 10; totbad 2 100 > 10", out)

@@ -8,18 +8,16 @@ import numpy as np
 import pytest
 
 from depthcli.core.errors import InputError, shortage
-from depthcli.io.formats.images import write_png
 from depthcli.io.scenes.pairs import scenes_of_table
 from tests.command_line import rows, run
+from tests.files import laid
 from tests.golden import told
 
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     noise = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 255, (40, 80), np.uint8), (0, 0), 1.5)
-    write_png(tmp_path / "in/a/left.png", noise[:, :70])
-    write_png(tmp_path / "in/a/right.png", noise[:, 6:76])
-    return tmp_path / "in"
+    return laid(tmp_path / "in", {"a/left.png": noise[:, :70], "a/right.png": noise[:, 6:76]})
 
 
 def stereo(scene: Path, *words: str | Path) -> int:
@@ -38,9 +36,9 @@ def stereo(scene: Path, *words: str | Path) -> int:
     ("register-confidence planes", "confidence.nii.gz,eror.nii.gz", "eror.nii.gz"),
 ])  # fmt: skip
 def test_keep_names_files_of_the_command(command: str, keep: str, wrong: str, tmp_path: Path, tool):
-    for name in ("left", "right", "color", "depth", "fixed", "moving_warped", "mask_transparent"):
-        write_png(tmp_path / "in/a" / f"{name}.png", np.full((20, 30), 900, np.uint16))
-    words = (*command.split(), "-i", tmp_path / "in", "--keep", keep, "-o", tmp_path / "o", "--dry-run")
+    names = ("left", "right", "color", "depth", "fixed", "moving_warped", "mask_transparent")
+    scenes = laid(tmp_path / "in", {f"a/{name}.png": np.full((20, 30), 900, np.uint16) for name in names})
+    words = (*command.split(), "-i", scenes, "--keep", keep, "-o", tmp_path / "o", "--dry-run")
     err = tool.err(2 if wrong else 0, *words)
     assert not wrong or f"--keep {wrong}: no file of {command.split()[0]} has that name" in err
 
@@ -88,9 +86,7 @@ def test_what_a_machine_lacks_is_no_bug(error: Exception, said: str, scene: Path
 
 
 def test_dry_runs_refuse_what_the_run_refuses(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    (tmp_path / "file").write_text("")
-    (tmp_path / "foreign").mkdir()
-    (tmp_path / "foreign/run.yaml").write_text("mine: 1\n")
+    laid(tmp_path, {"file": "", "foreign/run.yaml": "mine: 1\n"})
     for output in ("file", "foreign", "in"):
         said = []
         for more in ((), ("--dry-run",), ("--dry-run", "--json")):
@@ -118,11 +114,9 @@ def test_the_mask_of_glass_is_objects(tmp_path: Path, tool):
     color = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
     depth, mask = np.full((48, 64), 1500, np.uint16), np.zeros((48, 64), np.uint8)
     depth[16:32, 20:40], mask[14:34, 18:42] = 2500, 255
-    files: list[str | Path] = ["--name", "a"]
-    for option, name, image in (("color", "color", color), ("depth", "depth", depth),
-                                ("objects", "mask_transparent", mask)):  # fmt: skip
-        write_png(tmp_path / "in/a" / f"{name}.png", image)
-        files += [f"--{option}", tmp_path / "in/a" / f"{name}.png"]
+    names = {"--color": "color.png", "--depth": "depth.png", "--objects": "mask_transparent.png"}
+    scene = laid(tmp_path / "in/a", dict(zip(names.values(), (color, depth, mask), strict=True)))
+    files = ["--name", "a", *(word for option, name in names.items() for word in (option, scene / name))]
     folder = ("-i", tmp_path / "in")
     assert run("transparent", "sensor", *files, "-o", tmp_path / "o", "-q") == 0
     assert run("transparent", "sensor", *folder, "-o", tmp_path / "p", "-q") == 0

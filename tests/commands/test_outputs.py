@@ -1,6 +1,5 @@
 """What commands print and write on one small input, compared whole (``tests/outputs``)."""
 
-import json
 import re
 from pathlib import Path
 
@@ -8,9 +7,9 @@ import numpy as np
 import pytest
 
 from depthcli.evaluation.benchmarks import TEST, TRAINING
-from depthcli.io.formats.disparity import read_pfm, write_pfm
-from depthcli.io.formats.images import write_png
+from depthcli.io.formats.disparity import read_pfm
 from tests.commands.test_export import V3, quarter, run_of
+from tests.files import laid
 from tests.golden import Same, steady_csv, steady_json
 
 
@@ -49,21 +48,21 @@ def scored(tmp_path: Path) -> list[str]:
     wrong[:8, ::3] += 1.5
     wrong[10:14, 12:20], wrong[20] = np.nan, 0
     for k, name in enumerate(("a", "b")):
-        folder = tmp_path / "set" / name
-        for side in ("left", "right"):
-            write_png(folder / f"{side}.png", rng.integers(0, 256, (24, 32, 3)).astype(np.uint8))
-        write_pfm(folder / "disp_left.pfm", truth)
-        write_png(folder / "mask_nonocc.png", np.arange(32) >= np.full((24, 1), 8))
-        write_png(folder / "mask_disc.png", np.eye(24, 32, dtype=np.uint8) * np.uint8(255))
-        (folder / "meta.json").write_text(json.dumps({"max_disparity": 15}))
-        write_pfm(tmp_path / "good" / name / "disp_left.pfm", truth + np.float32(0.3 * k))
-        write_pfm(tmp_path / "poor" / name / "disp_left.pfm", np.roll(wrong, k, axis=0))
-        write_pfm(tmp_path / "poor" / name / "confidence_pkr.pfm", rng.random((24, 32), np.float32))
-        write_pfm(tmp_path / "poor" / name / "bound.pfm", np.float32(0.2) + rng.random((24, 32), np.float32))
+        images = {f"{side}.png": rng.integers(0, 256, (24, 32, 3)).astype(np.uint8) for side in ("left", "right")}
+        masks = np.arange(32) >= np.full((24, 1), 8), np.eye(24, 32, dtype=np.uint8) * np.uint8(255)
+        laid(tmp_path / "set" / name, {
+            **images, "disp_left.pfm": truth, "mask_nonocc.png": masks[0], "mask_disc.png": masks[1],
+            "meta.json": {"max_disparity": 15},
+        })  # fmt: skip
+        laid(tmp_path / "good" / name, {"disp_left.pfm": truth + np.float32(0.3 * k)})
+        laid(tmp_path / "poor" / name, {
+            "disp_left.pfm": np.roll(wrong, k, axis=0), "confidence_pkr.pfm": rng.random((24, 32), np.float32),
+            "bound.pfm": np.float32(0.2) + rng.random((24, 32), np.float32),
+        })  # fmt: skip
     done = {"status": "done", "width": 32, "height": 24}
     rows = [{"scene": name, **done, "seconds": {"a": 0.5, "b": 1 + k}} for k, name in enumerate(("a", "b"))]
     for run in ("good", "poor"):
-        (tmp_path / run / "report.json").write_text(json.dumps({"scenes": rows}))
+        laid(tmp_path / run, {"report.json": {"scenes": rows}})
     return ["evaluate", str(tmp_path / "good"), str(tmp_path / "poor"), "--truth", str(tmp_path / "set")]
 
 
