@@ -17,8 +17,7 @@ from depthcli.core.frames import Image, StereoPair, color8
 from depthcli.core.method import RootConfig
 from depthcli.core.yaml_source import ConfigData
 from depthcli.io.formats.depth import meters
-from depthcli.io.formats.disparity import squeezed
-from depthcli.io.formats.images import bits_said, pair_of
+from depthcli.io.formats.images import bits_said, pair_of, squeezed
 
 ModelT = TypeVar("ModelT", bound=RootConfig)
 

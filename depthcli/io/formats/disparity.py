@@ -34,6 +34,7 @@ from depthcli.io.formats.images import (
     pfm_header,
     png_bytes,
     read_grey,
+    squeezed,
 )
 from depthcli.io.formats.map_format import MAP_SUFFIXES, read_by_plugin
 from depthcli.show.view import MEASURED_CODE, Palette, status_words
@@ -323,13 +324,6 @@ def map_npy(path: Path | str) -> NDArray[Any]:
         except Exception as error:  # damaged headers raise many kinds
             raise InputError(f"damaged, or no .npy file ({str(error)[:200]})") from None
         return _numbers(array, 3)
-
-
-def squeezed(array: NDArray[Any], dimensions: int) -> NDArray[Any]:
-    """Return an array reduced to ``dimensions``, if possible, by removing first or last axes of length 1."""
-    while array.ndim > dimensions and 1 in (array.shape[0], array.shape[-1]):
-        array = array[0] if array.shape[0] == 1 else array[..., 0]
-    return array
 
 
 def _decode_npy(data: bytes, path: Path | str) -> NDArray[Any]:

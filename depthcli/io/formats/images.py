@@ -299,8 +299,8 @@ def image_size(path: Path | str) -> tuple[int, int]:
             return exr_sizes(path)[0]
         with _decoding(kind):
             if kind == "Npy":
-                shape = tuple(n for n in np.load(path, mmap_mode="r").shape if n > 1) or (1, 1)
-                return int(shape[0]), int(shape[1])
+                shape = squeezed(np.load(path, mmap_mode="r"), 2).shape
+                return shape[0], shape[1]
             if kind == "Tiff":
                 tags = _tiff_tags(file)
                 size, turn = (int(tags[_HEIGHT]), int(tags[_WIDTH])), int(tags.get(_ORIENTATION, 1))
@@ -308,6 +308,13 @@ def image_size(path: Path | str) -> tuple[int, int]:
                 image = _opened(file, kind, verify=False)
                 size, turn = (image.height, image.width), _orientation(image)
             return size if turn < 5 else size[::-1]
+
+
+def squeezed(array: NDArray[Any], dimensions: int) -> NDArray[Any]:
+    """Return an array reduced to ``dimensions``, if possible, by removing first or last axes of length 1."""
+    while array.ndim > dimensions and 1 in (array.shape[0], array.shape[-1]):
+        array = array[0] if array.shape[0] == 1 else array[..., 0]
+    return array
 
 
 def write_png(path: Path | str, array: NDArray[Any]) -> None:
