@@ -7,7 +7,6 @@ import re
 import runpy
 import sys
 from pathlib import Path
-from typing import Any
 
 import _docs_examples
 import _docs_links
@@ -126,12 +125,8 @@ def test_measured_tables_have_their_place():
         assert table["run"] in figures.SETTINGS["runs"]
 
 
-@pytest.fixture(scope="module")
-def thesis() -> dict[str, Any]:
-    return runpy.run_path(str(ROOT / "scripts" / "thesis"))
-
-
-def test_the_tables_of_the_thesis_show_what_was_measured(thesis):
+def test_the_tables_of_the_thesis_show_what_was_measured():
+    thesis = runpy.run_path(str(ROOT / "scripts" / "thesis"))
     measured = thesis["Measured"](json.loads((DOCS / "static" / "thesis" / "measured.json").read_text("utf-8")))
     written = thesis["written"](measured, set("234567"))
     for file, text in written.items():
@@ -140,20 +135,6 @@ def test_the_tables_of_the_thesis_show_what_was_measured(thesis):
     assert sheets == written.keys() - set(thesis["PAGES"])
     page = (DOCS / "thesis.md").read_text("utf-8")
     assert all(f"](static/thesis/{file.name})" in page for file in sheets)
-
-
-def test_a_sheet_has_the_means_and_each_item(thesis):
-    items = {
-        "v2 A": {"x, y": {"v2 gap": 1.0, "AUC": float("nan"), "last": 5.0}, "z": {"last": 1.0}},
-        "2005 B": {"x, y": {"2005 gap": 2.0, "AUC": 0.25}, "w": {"2005 gap": 9.0}},
-    }
-    assert thesis["sheet"](items, ["scene", "name"], 2, ["last", "w"]).splitlines() == [
-        "scene,name,gap,AUC",
-        'mean,"x, y",1.50,0.25',
-        'v2 A,"x, y",1.00,',
-        '2005 B,"x, y",2.00,0.25',
-    ]
-    assert thesis["sheet"]({"A": {"x": {"ms": 3.0}}}, ["scene", "name"], 1) == "scene,name,ms\nA,x,3.0\n"
 
 
 def test_the_config_keys_on_the_page_of_the_thesis_exist():

@@ -1,7 +1,6 @@
 """Devices: what a user reads of them; tests of device implementations in a process of their own (drivers crash)."""
 
 import importlib.resources
-import os
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -62,19 +61,6 @@ def test_cuda_takes_the_kernels(file):
 
 def test_files_with_macros_are_compiled_with_others_than_their_defaults():
     assert {file.name for file in FILES if "\n#ifndef " in file.read_text("utf-8")} == {*MACROS}
-
-
-@pytest.mark.system
-def test_without_devices_all_that_needs_one_is_skipped_with_the_reason(tmp_path):
-    for name in ("pyopencl", "cupy"):
-        (tmp_path / f"{name}.py").write_text("raise ImportError('hidden')")
-    root = Path(__file__).parents[2]
-    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
-    environment = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{root}", "PATH": path}
-    tests = ["tests/device/test_devices.py", "tests/test_scripts.py", "-k", "process_of_their_own or gpu_is_measured"]
-    command = [sys.executable, "-m", "pytest", "-q", "-rs", "-n0", "-p", "no:cacheprovider", *tests]
-    run = ended(0, *command, cwd=root, env=environment, timeout=_LIMIT)
-    assert "pyopencl is not installed" in run.stdout + run.stderr
 
 
 GPU = DeviceInfo("opencl:1", "a card", 1 << 33, True, "somebody's")

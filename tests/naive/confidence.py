@@ -101,11 +101,6 @@ def average_peak_ratio(costs, winner, second, eps, radius):
         a, b = winner[y, x], second[y, x]
         if b < 0:
             continue
-        ratios = [
-            (float(costs[q, p, b]) + eps) / (float(costs[q, p, a]) + eps)
-            for q in range(max(0, y - radius), min(height, y + radius + 1))
-            for p in range(max(0, x - radius), min(width, x + radius + 1))
-            if max(a, b) <= p
-        ]
-        out[y, x] = np.mean(ratios)
+        window = costs[max(0, y - radius) : y + radius + 1, max(0, x - radius, a, b) : x + radius + 1].astype(float)
+        out[y, x] = np.mean((window[..., b] + eps) / (window[..., a] + eps))
     return out

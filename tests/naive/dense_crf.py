@@ -23,9 +23,9 @@ def softmax(energy):
     return weights / weights.sum(axis=1, keepdims=True)
 
 
-def mean_field(unary, matrices, weights, mu, iterations, initial=None):
+def mean_field(unary, matrices, weights, mu, iterations):
     """(N, L) marginals; ``matrices`` (N, N) normalized kernels, whose diagonals do not count."""
-    q = softmax(unary) if initial is None else initial
+    q = softmax(unary)
     for _ in range(iterations):
         message = sum(w * (m - np.diag(np.diag(m))) @ q for w, m in zip(weights, matrices, strict=True))
         q = softmax(unary + message @ mu.T)

@@ -3,6 +3,8 @@
 import itertools
 import math
 
+import numpy as np
+
 
 def known_pixels(truth, mask):
     """Places (y, x) of the pixels that count."""
@@ -79,10 +81,8 @@ def extend(line, known):
 def submitted(disparity):
     """What a 16-bit PNG holds of a map: whole 256ths from 1 to 65535, nothing below zero."""
     out = disparity.copy()
-    for y in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            d = float(out[y, x])
-            out[y, x] = min(max(round(d * 256), 1), 65535) / 256 if d >= 0 else math.nan
+    for place, d in np.ndenumerate(disparity.astype(float)):
+        out[place] = min(max(round(d * 256), 1), 65535) / 256 if d >= 0 else math.nan
     return out
 
 
@@ -121,19 +121,16 @@ def kitti_2012(frames, wrong):
 
     A frame's sums are divided by at least 1, so that one without any estimate gives 0.
     """
-    rows = []
-    for bad, total, pixels in (kitti_frame(*frame, wrong) for frame in frames):
-        both = [(100 * bad[k] / max(pixels[k], 1), total[k] / max(pixels[k], 1)) for k in (0, 1)]
-        rows.append((*both[0], *both[1], 100 * pixels[1] / max(pixels[0], 1)))
+    rows = [figures(*kitti_frame(*frame, wrong)) for frame in frames]
     return [sum(column) / len(frames) for column in zip(*rows, strict=True)]
 
 
 def kitti_2015(frames, wrong):
     """The same five figures, each a quotient of the sums over all frames; the divisor is at least 1."""
-    sums = [0.0] * 6
-    for bad, total, pixels in (kitti_frame(*frame, wrong) for frame in frames):
-        sums = [a + b for a, b in zip(sums, (*bad, *total, *pixels), strict=True)]
-    bad, total, pixels = sums[:2], sums[2:4], sums[4:]
+    return figures(*np.sum([kitti_frame(*frame, wrong) for frame in frames], axis=0))
+
+
+def figures(bad, total, pixels):
     both = [(100 * bad[k] / max(pixels[k], 1), total[k] / max(pixels[k], 1)) for k in (0, 1)]
     return [*both[0], *both[1], 100 * pixels[1] / max(pixels[0], 1)]
 

@@ -50,22 +50,14 @@ def measures(costs, offsets, spacing, power):
         else:
             sharp, soft, squared = np.exp(-2 * power * t), np.exp(-2 * t), np.exp(-8 * t * t)
             q = sharp / sharp.sum()
+            mean = (q[:, None] * offsets).sum(axis=0) * spacing
             values = (
-                (q * lengths).sum(),
-                np.linalg.norm((q[:, None] * offsets).sum(axis=0)) * spacing,
-                lengths[c.argmin()],
-                soft[0] / soft.sum(),
-                squared[0] / squared.sum(),
-                (q * lengths**2).sum() - (((q[:, None] * offsets).sum(axis=0) * spacing) ** 2).sum(),
-            )
+                (q * lengths).sum(), np.linalg.norm(mean), lengths[c.argmin()], soft[0] / soft.sum(),
+                squared[0] / squared.sum(), (q * lengths**2).sum() - (mean**2).sum(),
+            )  # fmt: skip
             stereo = (1 / soft.sum(), 1 / squared.sum())
-        rest = (
-            abs(offsets[c.argmin()]).max() == offsets.max(),
-            (c < c[0]).mean(),
-            (c[near] - c[0]).sum(),
-            c[0],
-            -c.min(),
-        )
+        at_border = abs(offsets[c.argmin()]).max() == offsets.max()
+        rest = (at_border, (c < c[0]).mean(), (c[near] - c[0]).sum(), c[0], -c.min())
         for name, value in zip(names, (*values, *rest, *stereo, peak_ratio(c, offsets)), strict=True):
             out[name][p] = value
     return out

@@ -93,9 +93,9 @@ def merge_small(labels, image, min_size, by_boundary):
         target = {}
         for s in means:
             apart = {t: ((means[s] - means[t]) ** 2).sum() for t in length[s]}
-            ranks = (
-                [(-length[s][t], t) for t in apart if apart[t] == 0] if by_boundary else [(apart[t], t) for t in apart]
-            )
+            ranks = [(apart[t], t) for t in apart]
+            if by_boundary:
+                ranks = [(-length[s][t], t) for t in apart if apart[t] == 0]
             if (labels == s).sum() < min_size and ranks:
                 target[s] = min(ranks)[1]
         if not target:
@@ -125,15 +125,11 @@ def segment_sums(costs, labels, radius, limits):
     out = np.full(costs.shape, np.inf)
     for y, x in np.ndindex(height, width):
         low, high = limits[labels[y, x]]
+        window = np.s_[max(0, y - radius) : y + radius + 1, max(0, x - radius) : x + radius + 1]
+        own = costs[window][labels[window] == labels[y, x]].astype(float)
         for d in range(disparities):
-            if not low <= d <= min(high, x):
-                continue
-            total = 0.0
-            for v in range(max(0, y - radius), min(height, y + radius + 1)):
-                for u in range(max(0, x - radius), min(width, x + radius + 1)):
-                    if labels[v, u] == labels[y, x]:
-                        total += costs[v, u, d]
-            out[y, x, d] = total
+            if low <= d <= min(high, x):
+                out[y, x, d] = own[:, d].sum()
     return out
 
 

@@ -22,12 +22,11 @@ def volume(shape, disparities, cost, outside):
 def absolute_difference(left, right, disparities, truncation, outside):
     """Eq. 3.1: sum over the channels, truncated."""
     left, right = (np.atleast_3d(image).astype(int) for image in (left, right))
-    return volume(
-        left.shape[:2],
-        disparities,
-        lambda y, x, d: min(truncation, np.abs(left[y, x] - right[y, x - d]).sum()),
-        outside,
-    )
+
+    def cost(y, x, d):
+        return min(truncation, np.abs(left[y, x] - right[y, x - d]).sum())
+
+    return volume(left.shape[:2], disparities, cost, outside)
 
 
 def tolerant_difference(left, right, disparities, truncation, outside, divisor=1):
@@ -81,10 +80,11 @@ def gradient(left, right, disparities, truncation, outside):
         around = windows(image.astype(float), 5, 5)
         return np.array([around @ slope @ smooth, around @ smooth @ slope])
 
+    def cost(y, x, d):
+        return min(truncation, np.abs(a[:, y, x] - b[:, y, x - d]).sum())
+
     a, b = derivatives(left), derivatives(right)
-    return volume(
-        left.shape, disparities, lambda y, x, d: min(truncation, np.abs(a[:, y, x] - b[:, y, x - d]).sum()), outside
-    )
+    return volume(left.shape, disparities, cost, outside)
 
 
 def intensity_gradient(colors, greys, disparities, outside, filter="sobel", limits=None):
