@@ -23,14 +23,6 @@ def with_values(disparity, reliable, **changes) -> Measurement:
     return replace(Measurement.of(sample_of().frame(), 5.0, 0, False), limit=unlimited, **given)
 
 
-def test_leaving_out_unreliable_pixels_is_better_than_the_plain_method():
-    kinect = sample_of()
-    best, plain = (
-        off(preset("refine-kinect", name).pipeline(kinect.frame()), kinect) for name in ("dsrm", "thesis/ch4")
-    )
-    assert all(best[part].mean() < plain[part].mean() for part in (kinect.gap, kinect.mismatch))
-
-
 def test_depth_guidance_separates_near_and_far_of_one_color():
     kinect = sample_of("camouflage", 0)
     rule = {"complexity": 8192, "coarser": [2048, 512], "depth_guidance": 0, "smoothing": 0}
