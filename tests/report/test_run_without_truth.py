@@ -3,6 +3,7 @@
 import json
 import shutil
 import unicodedata
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,13 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.maps import Status
+from depthcli.core.volumes import Grid
 from depthcli.evaluation.evaluate import ScoredMap
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.scores import MapResult
 from depthcli.io.formats.disparity import read_pfm, read_status, write_pfm
 from depthcli.io.formats.images import read_grey, read_image, write_png
-from depthcli.io.formats.volumes import read_volume
+from depthcli.io.formats.volumes import read_volume, write_array
 from depthcli.io.scenes import VolumePairScene
 from depthcli.report.packing import unpack
 from depthcli.report.scene_view import view_with_truth
@@ -204,3 +206,8 @@ def test_landmarks_leave_the_whole_volume_in_sight(volumes: Path):
         assert np.array_equal(np.isnan(unpack(shown["runs"]["run"]["error"])), ~known)
     voxels = PreparedTruth(errors, None, np.ones(grid.shape, bool), truth.stored)
     assert not judge.presentation.at_points(voxels)
+    flat = Grid(grid.size, (2.0, 1.0, 3.0), grid.origin)
+    write_array(volumes.parent / "flat.mha", flat, np.zeros(flat.shape, np.float32))
+    scene = replace(scene, fixed=volumes.parent / "flat.mha")
+    view = view_with_truth(judge, scene, registration_truth(errors, flat, places, None))
+    assert view is not None and {shown["tall"] for shown in view.data["views"]} == {0.5, 1.5, 3.0}

@@ -99,6 +99,8 @@ def test_shadows_are_measured_on_both_sides():
     assert found.left.confidence > 0.7 > 0.25 > found.right.confidence
     mirrored = measure_shadows(np.ascontiguousarray(sample.disparity[:, ::-1]), 1.5)
     assert (mirrored.right, mirrored.left) == (found.left, found.right)
+    many = measure_shadows(np.tile(sample.disparity, (9, 1)), 1.5)  # of which only some gaps are looked at
+    assert many.left.confidence > 0.7 and many.left.scale == 1 and many.right.confidence < 0.25
 
 
 @pytest.mark.parametrize(("baseline", "covered"), [(0.5, False), (0.7, False), (1.4, False), (1.0, True)])

@@ -49,6 +49,7 @@ def test_a_range_beyond_the_images_and_that_of_noise_are_refused():
     pair = StereoPair(blobs(40, 9, 1), blobs(40, 9, 2))
     assert SearchRange(39, 50).shift(pair).shape == (9, 1)
     refused(InputError, SearchRange(40, 50).shift, pair)
+    refused(InputError, search_range.complete_range, 5, 5, pair)
     refused(InputError, matched_range, NOISE)
 
 
