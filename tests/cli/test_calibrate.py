@@ -102,9 +102,7 @@ def test_a_charuco_board_may_be_seen_in_part_and_fisheye_lenses(tmp_path: Path) 
 
 @pytest.mark.parametrize("kind", ["parallel", "copies", "nearly copies"])
 @pytest.mark.parametrize("lens", [(), ("--fisheye",)])
-def test_photos_that_do_not_determine_the_camera_are_refused(
-    kind: str, lens: tuple[str, ...], tmp_path: Path, tool
-) -> None:
+def test_photos_that_do_not_determine_the_camera_are_refused(kind: str, lens: tuple[str, ...], tmp_path: Path, tool):
     camera, texture = boards.rig(bool(lens)).left, boards.chessboard(9, 6)
     for k, (_, shift) in enumerate(boards.poses(8, EXTENT, tilt=0.0)):
         if kind == "parallel":
@@ -222,9 +220,7 @@ def test_both_views_of_a_board_number_its_corners_alike(columns: int, rows: int,
     (6, 6, 0.2, 1.3, True),  # a rig that fits worse than its cameras has to resemble them
     (3, 1, 0.0, 1.0, True),  # copies, though the photos of each camera alone determine it
 ])  # fmt: skip
-def test_pairs_and_cameras_that_determine_a_rig(
-    n_pairs: int, n_places: int, noise: float, longer: float, is_refused: bool
-) -> None:
+def test_pairs_and_cameras_that_determine_a_rig(n_pairs, n_places, noise: float, longer: float, is_refused: bool):
     board, true, rng = Chessboard(9, 6, SQUARE), boards.rig(), np.random.default_rng(0)
     pairs, places = {}, list(boards.poses(6, EXTENT))
     for k in range(n_pairs):

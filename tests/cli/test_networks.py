@@ -152,20 +152,16 @@ def test_edited_weights_are_another_input(scene: Path, tmp_path: Path, tool):
         assert tool.told(2, *command, "--set", f"maps.choice.weights={name}").count("\n") == 1
 
 
-def test_the_name_of_a_volume_may_hold_the_scene(scene: Path, tmp_path: Path):
-    (scene / "learned.npy").rename(scene / "shifted_costs.npy")
-    file = fuse_config(tmp_path, measures=[{"volume": "{scene}_costs.npy"}])
-    assert run("fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q") == 0
-    assert np.mean(read_pfm(tmp_path / "run" / "shifted" / "disp_left.pfm")[:, 12:] == 5) > 0.98
-
-
 def test_a_scene_whose_volume_is_missing_or_damaged_fails_alone(scene: Path, tmp_path: Path, tool):
     missing, damaged, flat = (
         Path(shutil.copytree(scene, scene.parent / name)) for name in ("missing", "damaged", "flat")
     )
     (missing / "learned.npy").unlink()
-    (damaged / "learned.npy").write_bytes(b"\x93NUMPY no")
-    np.save(flat / "learned.npy", np.zeros((40, 70)))
-    err = tool.err(3, "fuse", fuse_config(tmp_path), "-i", scene.parent, "-o", tmp_path / "run", "-q")
-    assert all(word in err for word in ("no such file", "damaged/learned.npy", "(H, W, D)"))
-    assert (tmp_path / "run" / "shifted" / "disp_left.pfm").is_file()
+    laid(damaged, {"learned.npy": b"\x93NUMPY no"})
+    laid(flat, {"learned.npy": np.zeros((40, 70))})
+    for folder in scene.parent.glob("*/learned.npy"):
+        folder.rename(folder.with_name(f"{folder.parent.name}_costs.npy"))
+    file = fuse_config(tmp_path, measures=[{"volume": "{scene}_costs.npy"}])  # a name may hold the scene
+    err = tool.err(3, "fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q")
+    assert all(word in err for word in ("no such file", "damaged/damaged_costs.npy", "(H, W, D)"))
+    assert np.mean(read_pfm(tmp_path / "run" / "shifted" / "disp_left.pfm")[:, 12:] == 5) > 0.98

@@ -320,24 +320,21 @@ def test_units_that_are_none_and_options_without_a_calibration(tmp_path: Path, t
             tool.told(3 if line == depth else 2, *line, *option, "-o", tmp_path / "out", "-q")
 
 
-@pytest.mark.parametrize("kind", ["opencv", "projections", "ros", "echo", "kalibr", "kitti"])
+@pytest.mark.parametrize("kind", ["opencv yml", "projections", "ros", "rostopic echo", "kalibr", "kitti"])
 def test_depth_takes_what_rectify_takes(kind: str, pinhole: Shot, tmp_path: Path, tool):
     """A map of another program, of a pair that was rectified as depthcli does, or by projections of the file."""
-    found = pinhole.rig.rectified(SIZE, SIZE)
+    found, factor = pinhole.rig.rectified(SIZE, SIZE), 1.0
     write_pfm(tmp_path / "map.pfm", np.tile(np.linspace(8, 20, SIZE[0]), (SIZE[1], 1)))
-    factor = 2.0 if kind == "projections" else 1.0  # which other flags of OpenCV give
-    if kind in ("ros", "echo"):
-        files = {"ros": ros, "echo": echo}[kind](tmp_path, pinhole.rig)
-    else:
-        files = [{"kalibr": kalibr, "kitti": kitti}.get(kind, opencv)(tmp_path / "c.yml", pinhole.rig)]
     if kind == "projections":
-        storage = cv2.FileStorage(str(tmp_path / "p.yml"), cv2.FILE_STORAGE_WRITE)
+        files, factor = [opencv(tmp_path / "c.yml", pinhole.rig), tmp_path / "p.yml"], 2.0  # by other flags of OpenCV
+        storage = cv2.FileStorage(str(files[1]), cv2.FILE_STORAGE_WRITE)
         for name, projection in (("P1", found.projection), ("P2", found.projection_right)):
             storage.write(name, projection * [[factor], [factor], [1]])
         storage.release()
-        files.append(tmp_path / "p.yml")
+    else:
+        files, _ = RIGS[kind](tmp_path, pinhole.rig)
     said = tool.err(0, "depth", tmp_path / "map.pfm", *both(files), "-o", tmp_path / "out")
-    by_projections = kind in ("ros", "echo", "projections")
+    by_projections = kind not in ("opencv yml", "kalibr", "kitti")
     assert ("rectified by its projections" in said) == by_projections
     assert ("depthcli rectify has rectified" in said) != by_projections
     depth = read_pfm(tmp_path / "out/map/depth.pfm")

@@ -47,7 +47,7 @@ def test_scenes_are_what_the_generator_made(tmp_path: Path):
     assert sorted(scenes(tmp_path / "street")) == ["planes_0", "street_0"]
 
 
-def test_the_real_pair_is_written_with_its_source(tmp_path: Path):
+def test_the_real_pair_is_written_with_its_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tool):
     assert run("sample", "--real", "-o", tmp_path, "-q") == 0
     stored = scenes(tmp_path)["Motorcycle"]
     left, _, disparity = stereo_motorcycle()
@@ -58,10 +58,7 @@ def test_the_real_pair_is_written_with_its_source(tmp_path: Path):
     geometry = read_geometry(stored.calibration)
     assert (geometry.left.fx, geometry.left.cx, geometry.left.cy) == (994.978, 311.193, 254.877)
     assert (geometry.baseline, geometry.offset, geometry.size) == (0.193001, 31.086, (741, 500))
-
-
-def test_a_build_of_scikit_image_without_the_pair_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tool):
-    monkeypatch.setitem(samples._REAL_FILES, "left", "missing.png")
+    monkeypatch.setitem(samples._REAL_FILES, "left", "missing.png")  # in a build of scikit-image without the pair
     error = tool.err(2, "sample", "--real", "-o", tmp_path / "out")
     assert "missing.png" in error and "--real" in error and error.count("\n") == 1
 

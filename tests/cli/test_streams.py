@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import sys
 import threading
 import time
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from depthcli.run.console import Reporter
-from tests.command_line import ended, start, statuses, wait_for
+from tests.command_line import ended, run, start, statuses, wait_for
 
 pytestmark = [
     pytest.mark.slow,
@@ -58,16 +59,26 @@ def test_names_that_no_terminal_shows(made_scenes: Path, tmp_path: Path):
     assert len(statuses(tmp_path / "r")) == 3
 
 
-def test_sigterm_ends_like_ctrl_c(made_scenes: Path, tmp_path: Path):
-    for number in range(120):  # enough that the signal comes before the end
-        shutil.copytree(made_scenes / "planes_0", tmp_path / "in" / str(number))
-    process = start("stereo", "opencv-bm", "-i", tmp_path / "in", "-o", tmp_path / "r")
-    wait_for(tmp_path / "r", 1, process)
-    process.terminate()
+@pytest.mark.parametrize(("sent", "jobs"), [
+    (signal.SIGTERM, "1"),
+    *(pytest.param(signal.SIGINT, jobs, marks=pytest.mark.system) for jobs in ("1", "2", "auto")),
+])  # fmt: skip
+def test_a_signal_leaves_a_run_to_go_on_with(made_scenes: Path, tmp_path: Path, sent: signal.Signals, jobs: str):
+    for number in range(4):  # enough scenes that the signal falls into the run
+        for scene in filter(Path.is_dir, made_scenes.iterdir()):
+            shutil.copytree(scene, tmp_path / "in" / f"{scene.name}_{number}", copy_function=os.symlink)
+    command, made = ("stereo", "opencv-sgbm", "-i", tmp_path / "in", "--jobs", jobs, "-o"), tmp_path / "run"
+    # Tests that run in the background of a shell inherit an ignored SIGINT.
+    heard = {"start_new_session": True, "preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+    process = start(*command, made, **heard)
+    wait_for(made, 1, process)
+    os.killpg(process.pid, sent)
     _, err = process.communicate(timeout=60)
-    assert process.returncode == 143 and "terminated; run the same command again" in err, err
-    assert set(statuses(tmp_path / "r").values()) == {"done"}
-    assert not list((tmp_path / "r").glob(".partial-*"))
+    assert process.returncode == 128 + sent, err
+    assert "ed; run the same command again" in err and "Traceback" not in err
+    assert set(statuses(made).values()) == {"done"} and not list(made.glob(".partial-*"))
+    assert run(*command, made) == 0
+    assert len(list(made.glob("*/record.json"))) == 48
 
 
 def test_a_terminal_shows_a_bar_with_failures(monkeypatch: pytest.MonkeyPatch, capsys):

@@ -45,7 +45,7 @@ def test_a_mask_of_the_objects_alone(made_glass, tmp_path, tool):
     tool.told(3, *command)
 
 
-def test_scores_say_that_sparse_depth_is_from_the_truth(made_glass, tmp_path, tool):
+def test_scores_say_that_sparse_depth_is_from_the_truth_and_memory_is_respected(made_glass, tmp_path, tool):
     frames = Path(shutil.copytree(made_glass, tmp_path / "in"))
     words = ("-i", frames, "-o", tmp_path / "run", "--evaluate", "--json")
     assert "from the truth" in json.dumps(json.loads(tool.out(0, "transparent", "nearest", *words))["evaluation"])
@@ -55,11 +55,8 @@ def test_scores_say_that_sparse_depth_is_from_the_truth(made_glass, tmp_path, to
     meta.write_text(json.dumps(json.loads(meta.read_text()) | {"max_disparity": 9}))
     planned = {row["scene"]: row["status"] for row in json.loads(tool.out(0, *kinect, "--dry-run"))["scenes"]}
     assert planned == {"glass_0": "to do", "glass_1": "done, kept"}  # another range of stereo is another result
-
-
-def test_memory_is_respected(made_glass, tmp_path, tool):
-    command = ("transparent", "crf", "-i", made_glass, "-o", tmp_path / "run", "--json", "--max-memory", "20MiB")
-    assert "needs about" in json.loads(tool.out(3, *command))["scenes"][0]["error"]
+    words = ("-i", made_glass, "-o", tmp_path / "crf", "--json", "--max-memory", "20MiB")
+    assert "needs about" in json.loads(tool.out(3, "transparent", "crf", *words))["scenes"][0]["error"]
 
 
 def _broken(folder, made_glass):

@@ -7,7 +7,6 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -36,13 +35,7 @@ GOOD = np.rint(8 * np.linspace(4, 12, SHAPE[1], dtype=np.float32) * np.ones((SHA
 """The truth of all scenes."""
 
 
-def evaluated(
-    runs: Sequence[Path | str],
-    truth: Path,
-    output: Path | None = None,
-    protocol: str | None = None,
-    settings: Settings | None = None,
-) -> EvaluationReport:
+def evaluated(runs, truth: Path, output=None, protocol=None, settings: Settings | None = None) -> EvaluationReport:
     scored_by = None if protocol is None else protocols.load(protocol)(settings or Settings())
     found = scenes_with_truth(truth, protocol=scored_by, settings=settings)
     return evaluate_runs(runs, found, truth, output, Choices(scored_by, settings or Settings(), viewers=[Document()]))
@@ -188,7 +181,7 @@ def test_gaps_that_cost_nothing_are_told(tmp_path: Path, truth: Path):
     holes = GOOD.copy()
     holes[:, 8:16] = np.nan
     full = run_of(tmp_path / "full", {"a": GOOD + 1, "b": GOOD})
-    runs: list[Path | str] = [full, run_of(tmp_path / "holes", {"a": holes, "b": GOOD})]
+    runs = [full, run_of(tmp_path / "holes", {"a": holes, "b": GOOD})]
     for given, protocol, is_told in ((runs, "eth3d", True), (runs, "middlebury_v2", False),
                                      ([full, f"b={full}"], "eth3d", False)):  # fmt: skip
         text = headline_text(evaluated(given, truth, protocol=protocol)).replace("\n", " ")
