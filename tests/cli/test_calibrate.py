@@ -18,6 +18,7 @@ from depthcli.io.formats.images import read_image, write_png
 from tests import boards
 from tests.boards import SIZE, SQUARE
 from tests.command_line import run
+from tests.files import laid
 from tests.golden import refused
 
 pytestmark = pytest.mark.slow
@@ -146,10 +147,8 @@ def few(chess: Path, tmp_path: Path) -> Path:
 
 
 def test_damaged_photos_are_left_out_and_said(few: Path, tmp_path: Path, tool) -> None:
-    for name in ("left08.png", "right08.png"):
-        (few / name).write_bytes((few / name.replace("08", "03")).read_bytes()[:5000])
-    for name in ("left09.png", "other.png"):
-        write_png(few / name, np.zeros((50, 60), np.uint8))
+    laid(few, {f"{side}08.png": (few / f"{side}03.png").read_bytes()[:5000] for side in ("left", "right")})
+    laid(few, dict.fromkeys(("left09.png", "other.png"), np.zeros((50, 60), np.uint8)))
     out, err = tool.both(3, "calibrate", few, *CHESS, "-o", tmp_path / "c.yml")
     assert "left08.png" in err and "other.png: left out" in err
     assert "left cannot be read" in out and "60 x 50 pixels, not 640 x 480" in out
@@ -176,17 +175,14 @@ def test_pairs_of_no_rig_are_refused(few: Path, tmp_path: Path, monkeypatch: pyt
 @pytest.mark.parametrize("names", ["left/01 right/01", "left01 right01", "cam0/01 cam1/01", "01/left 01/right"])
 def test_pairs_are_found_by_name(tmp_path: Path, names: str) -> None:
     pairs = [[tmp_path / f"{name}.png" for name in names.replace("01", number).split()] for number in ("01", "02")]
-    for file in (file for pair in pairs for file in pair):
-        file.parent.mkdir(exist_ok=True, parents=True)
-        file.touch()
+    laid(tmp_path, {str(file): "" for pair in pairs for file in pair})
     photos, unnamed = find_photos([tmp_path])
     assert [each.name for each in photos] == ["01", "02"] and unnamed == []
     assert [[each.left, each.right] for each in photos] == pairs
 
 
 def test_numbers_of_photos_are_no_cameras(tmp_path: Path) -> None:
-    for number in range(6):
-        write_png(tmp_path / f"img{number}.png", np.zeros((4, 4), np.uint8))
+    laid(tmp_path, {f"img{number}.png": np.zeros((4, 4), np.uint8) for number in range(6)})
     photos, unnamed = find_photos([tmp_path])
     assert len(photos) == 6 and not unnamed and all(each.right is None for each in photos)
 

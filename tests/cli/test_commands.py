@@ -23,9 +23,10 @@ from depthcli.core import plugins
 from depthcli.core.config_file import find_config, load_config
 from depthcli.evaluation.sweeps import parse_axes
 from depthcli.io.formats.disparity import read_disparity, read_pfm
-from depthcli.io.formats.images import read_image, write_png
+from depthcli.io.formats.images import read_image
 from depthcli.methods.stereo.pipeline.opencv_sgbm import OpencvSgbm
 from tests.command_line import ended, rows, run
+from tests.files import laid
 
 FAST = "opencv-bm"
 """The quickest preset; the tests here are about what is around the matching."""
@@ -68,8 +69,7 @@ def test_a_range_that_nothing_gives_is_that_of_the_pair_with_a_warning(two_scene
     for name in ("planes_0", "foreground_0"):
         one, other = ((tmp_path / folder / name / "disp_left.pfm").read_bytes() for folder in ("r", "auto"))
         assert one == other
-    for view in ("left.png", "right.png"):  # nothing to match there
-        write_png(scenes / "planes_0" / view, np.zeros((48, 64), np.uint8))
+    laid(scenes / "planes_0", dict.fromkeys(("left.png", "right.png"), np.zeros((48, 64), np.uint8)))  # nothing there
     tool.told(3, *line, tmp_path / "r")
 
 
@@ -285,9 +285,8 @@ def test_sizes_have_units_of_1000_or_of_1024():
 
 def test_identical_and_flat_images_are_named_in_the_record(tmp_path: Path) -> None:
     image = np.random.default_rng(0).integers(0, 255, (40, 60), np.uint8)
-    for name, views in (("same", (image, image)), ("flat", (image, np.full_like(image, 9)))):
-        for side, view in zip(("left", "right"), views, strict=True):
-            write_png(tmp_path / "pairs" / name / f"{side}.png", view)
+    laid(tmp_path / "pairs" / "same", {"left.png": image, "right.png": image})
+    laid(tmp_path / "pairs" / "flat", {"left.png": image, "right.png": np.full_like(image, 9)})
     line = ("stereo", FAST, "-i", tmp_path / "pairs", "-o", tmp_path / "run", "--max-disparity", "16", "-q")
     assert run(*line) == 0
     same, flat = (str(rows(tmp_path / "run")[name]["warnings"]) for name in ("same", "flat"))

@@ -23,6 +23,7 @@ from depthcli.methods.registration.pipeline import RegistrationResult
 from depthcli.problems.registration import inside_figures
 from tests import command_line
 from tests.command_line import rows
+from tests.files import laid
 from tests.golden import refused, told
 
 with warnings.catch_warnings():
@@ -32,6 +33,12 @@ with warnings.catch_warnings():
 SMALL = ("--set", "radius=3", "--set", "half_window=1", "-q")
 VOLUMES = ("confidence", "expected_error", "bound", "probability", "shift")
 FILES = {"preview.png", "record.json", "status.nii.gz", *(f"{name}.nii.gz" for name in VOLUMES)}
+
+
+def write_volumes(folder, grid, **volumes):
+    for name, values in volumes.items():
+        write_array(folder / f"{name}.mha", grid, values)
+    return folder
 
 
 def register(method, *words):
@@ -78,9 +85,9 @@ def write_points(file, points):
 def moved(made_volumes, tmp_path):
     """A single pair given by its moving volume and a field, with landmarks."""
     folder, fixed = tmp_path / "pair", read_volume(made_volumes / "pair_0" / "fixed.nii.gz")
-    write_array(folder / "fixed.mha", fixed.grid, fixed.values)
-    write_array(folder / "moving.mha", fixed.grid, np.roll(fixed.values, 2, axis=2))
-    write_array(folder / "displacement.mha", fixed.grid, np.full((*fixed.values.shape, 3), (3, 0, 0), np.float32))
+    shift = np.full((*fixed.values.shape, 3), (3, 0, 0), np.float32)
+    moving = np.roll(fixed.values, 2, axis=2)
+    write_volumes(folder, fixed.grid, fixed=fixed.values, moving=moving, displacement=shift)
     points = fixed.grid.to_point(np.array([[20.0, 25.0, 25.0], [15.0, 30.0, 20.0]]))
     write_points(folder / "landmarks_fixed.csv", points)
     write_points(folder / "landmarks_moving.csv", points + np.array([3.0, 0.5, 0.0]))
@@ -121,21 +128,19 @@ def test_open_bounds_are_counted_apart(moved, tmp_path, tool):
 
 
 def test_a_field_and_a_transform_are_refused_unless_one_counts(tmp_path):
-    folder = tmp_path / "pair"
-    folder.mkdir()
-    for name in ("fixed.mha", "moving.mha", "displacement.mha", "transform.tfm"):
-        (folder / name).touch()
+    names = ("fixed.mha", "moving.mha", "displacement.mha", "transform.tfm")
+    folder = laid(tmp_path / "pair", dict.fromkeys(names, ""))
     (scene,) = discover_scenes(folder, ALL_KINDS)
     assert "both displacement.mha and transform.tfm; take away the one" in scene.problem
     files = {"displacement": folder / "displacement.mha", "transform": folder / "transform.tfm"}
     given = files | {"fixed": folder / "fixed.mha", "moving": folder / "moving.mha"}
-    refused(ConfigError, named_scenes, VolumePairScene, given)
+    for wrong in ({}, {"apply": "field"}):
+        refused(ConfigError, named_scenes, VolumePairScene, given | wrong)
     for apply, counting in {"displacement": {"displacement"}, "transform": {"transform"}, "both": set(files)}.items():
-        (folder / "meta.json").write_text(json.dumps({"apply": apply}))
+        laid(folder, {"meta.json": {"apply": apply}})
         for pair in (*discover_scenes(folder, ALL_KINDS), *named_scenes(VolumePairScene, given | {"apply": apply})):
             assert not pair.problem
             assert {role for role in files if getattr(pair, role) is not None} == counting
-    refused(ConfigError, named_scenes, VolumePairScene, given | {"apply": "field"})
 
 
 @pytest.mark.slow
@@ -155,6 +160,8 @@ def test_bad_input_is_one_line_and_spoils_no_other(made_volumes, tmp_path, tool)
     command = ("register-confidence", "axes", "-i", tmp_path / "pairs", "-o", tmp_path / "run", *SMALL)
     assert tool.told(3, *command).count("\n") == 4
     assert (tmp_path / "run" / "pair_0" / "confidence.nii.gz").is_file()
+    laid(tmp_path, {"pairs.csv": "fixed,moving\na.mha,b.mha\n"})  # a table, which is not taken
+    tool.told(2, "register-confidence", "axes", "-i", tmp_path / "pairs.csv", "-o", tmp_path / "run")
 
 
 @pytest.mark.parametrize("special", [np.inf, 3e38, 1e20, 1e-40])
@@ -184,9 +191,8 @@ def test_reports_say_how_large_errors_are_in_the_body_and_where(tmp_path, tool):
     fixed[2:30, 4:32, 4:36] = rng.uniform(0.5, 1, (28, 28, 32))
     warped = fixed.copy()
     warped[8:24, 8:28, 20:34] = np.roll(fixed, 3, axis=2)[8:24, 8:28, 20:34]  # 4.5 mm
-    for name, values in (("ct_plan", fixed), ("ct_warped", warped)):
-        write_array(tmp_path / "pair" / f"{name}.mha", grid, values)
-    command, pair = ("register-confidence", "intensity", "-o", tmp_path / "run"), tmp_path / "pair"
+    pair = write_volumes(tmp_path / "pair", grid, ct_plan=fixed, ct_warped=warped)
+    command = ("register-confidence", "intensity", "-o", tmp_path / "run")
     tool.told(2, *command, "-i", pair)
     out, err = tool.both(0, *command, "--fixed", pair / "ct_plan.mha", "--warped", pair / "ct_warped.mha", "--html")
     told(err)
@@ -234,11 +240,8 @@ def test_figures_that_stop_at_the_border_of_the_search_are_lower_bounds(made_vol
 def test_bad_landmarks_stop_no_map_and_say_what_is_wrong(tmp_path, tool, landmarks, moving, words):
     pair, made, grid = tmp_path / "pair", tmp_path / "run", Grid((16, 14, 12), (1.0, 1.0, 2.0), (-40.0, 30.0, 5.0))
     values = np.random.default_rng(0).standard_normal(grid.shape).astype(np.float32)
-    for name, volume in (("fixed", values), ("moving_warped", np.roll(values, 1, axis=2))):
-        write_array(pair / f"{name}.mha", grid, volume)
-    (pair / "landmarks_fixed.csv").write_text(landmarks)
-    if moving:
-        (pair / "landmarks_moving.csv").write_text(moving)
+    write_volumes(pair, grid, fixed=values, moving_warped=np.roll(values, 1, axis=2))
+    laid(pair, {"landmarks_fixed.csv": landmarks, **({"landmarks_moving.csv": moving} if moving else {})})
     assert register("axes", "-i", pair, "-o", made) == 0
     row = rows(made)["pair"]
     assert row["status"] == "done" and any(all(word in line for word in words) for line in row["warnings"])
@@ -246,11 +249,6 @@ def test_bad_landmarks_stop_no_map_and_say_what_is_wrong(tmp_path, tool, landmar
     assert (made / "pair" / "points.csv").exists() == bool(moving)
     if moving:
         tool.told(2, "evaluate", made, "--truth", pair, "-o", tmp_path / "e")
-
-
-def test_a_table_of_pairs_says_what_is_wanted(tmp_path, tool):
-    (tmp_path / "pairs.csv").write_text("fixed,moving\na.mha,b.mha\n")
-    tool.told(2, "register-confidence", "axes", "-i", tmp_path / "pairs.csv", "-o", tmp_path / "run")
 
 
 def dicom(folder, values, missing=()):

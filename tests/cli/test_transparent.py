@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from depthcli.io.formats.disparity import read_pfm, write_pfm
-from depthcli.io.formats.images import read_image, write_png
+from depthcli.io.formats.images import read_image
 from tests.command_line import rows, run, vertices
+from tests.files import laid
 
 
 def test_a_mask_of_the_objects_alone(made_glass, tmp_path, tool):
@@ -68,12 +69,11 @@ def _broken(folder, made_glass):
         return Path(shutil.copytree(made_glass / "glass_0", folder / name))
 
     (scene("no_calibration") / "calib.json").unlink()
-    (scene("apart") / "calib.json").write_text(json.dumps(rig | {"R": [[-1, 0, 0], [0, 1, 0], [0, 0, -1]]}))
+    laid(scene("apart"), {"calib.json": rig | {"R": [[-1, 0, 0], [0, 1, 0], [0, 0, -1]]}})
     for name, file in (("small_infrared", "ir.png"), ("small_color", "color.png")):
-        path = scene(name) / file
-        write_png(path, read_image(path)[:50, :60])
+        laid(scene(name), {file: read_image(made_glass / "glass_0" / file)[:50, :60]})
     for name, file in (("blind", "depth.pfm"), ("no_samples", "sparse.pfm")):
-        write_pfm(scene(name) / file, np.full((96, 128), np.nan, np.float32))
+        laid(scene(name), {file: np.full((96, 128), np.nan, np.float32)})
     scene("z_good")
     size, blind = "60 x 50", "no pixel has a depth"
     return {
