@@ -258,12 +258,10 @@ def test_d1_needs_both_conditions_and_exactly_five_percent_is_wrong():
 
 
 def test_kitti_scores_the_png_that_would_be_submitted(tmp_path):
-    truth = everywhere(np.array([[10, 10, 10, 300]], np.float32), "occ")
+    truth, judge = everywhere(np.array([[10, 10, 10, 300]], np.float32), "occ"), make("kitti-2012")
     estimate = np.array([[-10, 13 + 1 / 600, 13 + 1 / 400, 300]], np.float32)  # missing; 13; 13 + 1/256; 255.996
     write_pfm(tmp_path / "m.pfm", estimate)
-    judge = make("kitti-2012")
-    scores = judge.scores(judge.read(tmp_path / "m.pfm", None, truth), truth)
-    out = pick(scores, "out", 3.0, ESTIMATED_ONLY)
+    out = pick(judge.scores(judge.read(tmp_path / "m.pfm", None, truth), truth), "out", 3.0, ESTIMATED_ONLY)
     assert (out.wrong, out.pixels, out.density) == (2, 3, 75)
 
 
@@ -297,7 +295,7 @@ def test_kitti_regions():
 @pytest.mark.parametrize("name", STEREO)
 @pytest.mark.parametrize("factor", [16, 4, 256, 0.5, 1 / 16, -1])
 def test_wrong_scale_is_noticed(name, factor):
-    _, truth, _ = random_maps(3, (40, 50))
+    truth = random_maps(3, (40, 50))[1]
     estimate = truth + np.float32(0.3)
     judge, reference = make(name), replace(everywhere(truth), max_disparity=80)
     assert scale_warning(judge.resized(estimate, reference), truth) is None
@@ -419,13 +417,12 @@ def test_depth_by_hand():
 
 
 def test_scene_flow_evaluates_disparities_below_192():
-    disparity = np.array([[0, 0.5, 100, 191.5, 192, 300, 50, np.nan]], np.float32)
-    judge = make("scene-flow")
+    disparity, judge = np.array([[0, 0.5, 100, 191.5, 192, 300, 50, np.nan]], np.float32), make("scene-flow")
     truth = DisparityTruth(disparity, judge.masks(StereoTruth(disparity)))
     estimate = disparity + np.array([[9, 0.75, 4, 10, 90, 90, np.nan, 1]], np.float32)
     scores = judge.scores(estimate, truth)
-    assert pick(scores, "avgerr").value == pytest.approx((0.75 + 4 + 10) / 3)
-    assert pick(scores, "avgerr").metric == judge.headline
+    average = pick(scores, "avgerr")
+    assert (average.value, average.metric) == (pytest.approx((0.75 + 4 + 10) / 3), judge.headline)
     assert [pick(scores, "bad", t).value for t in (1.0, 3.0)] == [75, 75]  # the missing one is bad
     assert pick(scores, "D1").value == 50  # 4 px are not 5 % of 100 px
     np.testing.assert_array_equal(judge.wrong(estimate, truth)[0, 1:4], [False, True, True])

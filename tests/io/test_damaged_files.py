@@ -143,19 +143,16 @@ HUGE = ["1e305", "1e999", "9" * 400, "9" * 5000]
 CALIB = "cam0=[9 0 4; 0 9 3; 0 0 1]\ncam1=[9 0 4; 0 9 3; 0 0 1]\ndoffs=0\nbaseline=100\n"
 
 
-@pytest.mark.parametrize("number", HUGE)
-def test_calib_txt_with_numbers_too_large(tmp_path: Path, number: str):
-    laid(tmp_path, {"im0.png": IMAGE, "im1.png": IMAGE, "calib.txt": f"{CALIB}ndisp={number}\n"})
-    refused(InputError, discover_scenes, tmp_path, ALL_KINDS)
-    (tmp_path / "calib.txt").write_text(f"{CALIB}width={number}\nheight=6\n")
-    refused(InputError, read_geometry, tmp_path / "calib.txt")
-
-
 @pytest.mark.parametrize("number", [*HUGE, "-99999999999", "1.5", "nan", "0x10", "1_0"])
-def test_lists_with_numbers_too_large(tmp_path: Path, number: str):
+def test_numbers_too_large_in_text(tmp_path: Path, number: str):
     (tmp_path / "pairs.csv").write_text(f"left,right,max_disparity\na.png,b.png,{number}\n")
     (scene,) = scenes_of_table(tmp_path / "pairs.csv")
     assert "max_disparity" in scene.problem and len(scene.problem) < 400
+    if number in HUGE:
+        laid(tmp_path, {"im0.png": IMAGE, "im1.png": IMAGE, "calib.txt": f"{CALIB}ndisp={number}\n"})
+        refused(InputError, discover_scenes, tmp_path, ALL_KINDS)
+        (tmp_path / "calib.txt").write_text(f"{CALIB}width={number}\nheight=6\n")
+        refused(InputError, read_geometry, tmp_path / "calib.txt")
 
 
 def test_arrays_that_announce_terabytes(tmp_path: Path):

@@ -122,17 +122,15 @@ def test_videos(tmp_path: Path, tool):
     tool.told(2, "stereo", "opencv-bm", "--left", tmp_path / "bad.avi", "--right", right, "-o", tmp_path / "x")
 
 
-@pytest.mark.parametrize(("rate", "is_refused"), [(29.97, False), (30, False), (15, True), (25, True)])
-def test_videos_of_two_rates_are_refused(tmp_path: Path, rate: float, is_refused: bool):
-    files = {"left": video(tmp_path / "l.avi", 0, rate=30), "right": video(tmp_path / "r.avi", 6, rate=rate)}
-    if is_refused:
-        refused(ConfigError, named_scenes, StereoScene, files)
-    else:
-        assert [scene.warnings for scene in named_scenes(StereoScene, files)] == [()] * 5
-
-
-def test_videos_of_two_lengths_are_warned_of_in_every_row(tmp_path: Path):
-    pair = ("--left", video(tmp_path / "l.avi", 0, 3), "--right", video(tmp_path / "r.avi", 6, 2))
+def test_videos_of_two_rates_are_refused_and_of_two_lengths_warned_of(tmp_path: Path):
+    left = video(tmp_path / "l.avi", 0, 3, rate=30)
+    for rate, is_refused in ((29.97, False), (30, False), (15, True), (25, True)):
+        files = {"left": left, "right": video(tmp_path / "r.avi", 6, 3, rate=rate)}
+        if is_refused:
+            refused(ConfigError, named_scenes, StereoScene, files)
+        else:
+            assert [scene.warnings for scene in named_scenes(StereoScene, files)] == [()] * 3
+    pair = ("--left", left, "--right", video(tmp_path / "r.avi", 6, 2, rate=30))
     assert run("stereo", "opencv-bm", *pair, "--max-disparity", "12", "-o", tmp_path / "run", "-q") == 0
     report = json.loads((tmp_path / "run/report.json").read_text())["scenes"]
     assert [any("l.avi has 3 frames" in line for line in row["warnings"]) for row in report] == [True, True]
