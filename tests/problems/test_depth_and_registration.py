@@ -95,15 +95,12 @@ def test_what_is_a_measured_depth_is_the_same_for_the_command(tmp_path: Path):
     assert {row["metric"]: row["value"] for row in rows if row["mask"] == "all"}["coverage"] == pytest.approx(100 / 3)
 
 
-@pytest.mark.parametrize(("color", "depth", "cameras"), [
-    (COLOR, np.zeros((8, 9), np.uint16), {}), ([COLOR], DEPTH, {}), ([COLOR, COLOR[:5]], [DEPTH, DEPTH[:5]], {}),
-    (COLOR, DEPTH, {"depth_intrinsics": (1, 2, 3)}), (COLOR, DEPTH, {"depth_to_color": np.eye(4)}),
-])  # fmt: skip
-def test_wrong_frames_and_cameras_are_refused(color: Any, depth: Any, cameras: dict[str, Any]):
-    refused(depthcli.InputError, depthcli.refine_depth, color, depth, "nearest", **cameras)
-
-
-def test_what_a_preset_needs_is_said():
+def test_what_cannot_be_used_is_refused():
+    for color, depth, cameras in (
+        (COLOR, np.zeros((8, 9), np.uint16), {}), ([COLOR], DEPTH, {}), ([COLOR, COLOR[:5]], [DEPTH, DEPTH[:5]], {}),
+        (COLOR, DEPTH, {"depth_intrinsics": (1, 2, 3)}), (COLOR, DEPTH, {"depth_to_color": np.eye(4)}),
+    ):  # fmt: skip
+        refused(depthcli.InputError, depthcli.refine_depth, color, depth, "nearest", **cameras)
     refused(depthcli.InputError, depthcli.complete_transparent, COLOR, DEPTH, preset="sparse")
     refused(depthcli.InputError, depthcli.complete_transparent, COLOR, DEPTH)
     refused(depthcli.ConfigError, depthcli.complete_transparent, COLOR, DEPTH, infrared=COLOR[..., 0])
@@ -121,48 +118,46 @@ def test_depth_of_its_own_camera_is_registered():
     assert moved.filled.sum() == (20 - 8) * 60
 
 
-def test_saved_files_are_the_values_of_the_result(tmp_path: Path, made_volumes: Path):
-    names = ("fixed", "moving_warped", "mask")
-    fixed, warped, mask = (read_volume(made_volumes / "pair_0" / f"{name}.nii.gz") for name in names)
-    grid = {"origin": fixed.grid.origin, "direction": np.reshape(fixed.grid.direction, (3, 3))}
+def test_volumes_are_arrays_or_images_and_files_have_the_values_of_the_result(tmp_path: Path, made_volumes: Path):
+    sitk = pytest.importorskip("SimpleITK")
+    files = [made_volumes / "pair_0" / f"{name}.nii.gz" for name in ("fixed", "moving_warped", "mask")]
+    fixed, warped, mask = map(read_volume, files)
+    grid = {"origin": (-10.0, 20.0, 5.0), "direction": np.reshape(fixed.grid.direction, (3, 3))}
     volumes = fixed.values, warped.values, fixed.grid.spacing[::-1]
     found = depthcli.registration_confidence(*volumes, mask=mask.values, **grid, max_voxels=30000)
-    found.save(tmp_path / "python")
+    images = [sitk.ReadImage(str(file)) for file in files]
+    for image in images:  # which know where they are
+        image.SetOrigin(grid["origin"])
+    again = depthcli.registration_confidence(*images[:2], mask=images[2], max_voxels=30000)
+    assert np.array_equal(found.values, again.values) and found.grid == again.grid
+    images[1].SetSpacing((1.0, 1.0, 9.0))
+    refused(depthcli.InputError, depthcli.registration_confidence, *images[:2], preset="axes")
+    found.save(tmp_path)
     for name in ("expected_error", "confidence", "bound", "probability"):
-        written = read_volume(tmp_path / "python" / f"{name}.nii.gz").values
+        written = read_volume(tmp_path / f"{name}.nii.gz").values
         assert np.array_equal(written, getattr(found, "values" if name == "expected_error" else name)), name
     assert found.shift.shape == (*found.values.shape, 3)
-    (row,) = found.at(fixed.grid.to_point(np.array([[20.0, 28, 28]])))
+    (row,) = found.at(found.grid.to_point(np.array([[20.0, 28, 28]])))
     assert row["expected_error"] == pytest.approx(found.values[20, 28, 28], abs=0.1)
     assert {"search", "other"} <= set(found.seconds)
     assert found._repr_png_().startswith(b"\x89PNG") and "mm expected" in repr(found)
-
-
-def test_images_of_simple_itk_know_where_they_are(made_volumes: Path):
-    sitk = pytest.importorskip("SimpleITK")
-    images = [sitk.ReadImage(str(made_volumes / "pair_0" / f"{n}.nii.gz")) for n in ("fixed", "moving_warped")]
-    arrays, spacing = [sitk.GetArrayFromImage(image) for image in images], images[0].GetSpacing()
-    for image in images:
-        image.SetOrigin((-10.0, 20.0, 5.0))
-    found = depthcli.registration_confidence(*images, preset="axes")
-    again = depthcli.registration_confidence(*arrays, spacing[::-1], preset="axes")
-    assert np.array_equal(found.values, again.values)
-    assert found.grid.spacing == spacing and found.grid.origin == images[0].GetOrigin()
-    images[1].SetSpacing((1.0, 1.0, 9.0))
-    refused(depthcli.InputError, depthcli.registration_confidence, *images, preset="axes")
 
 
 SHAPE = (6, 8, 9)
 FIXED = np.random.default_rng(0).random(SHAPE, np.float32)
 
 
-@pytest.mark.parametrize("wrong", [
-    {"spacing": None}, {"warped": FIXED[:5]}, {"warped": np.where(FIXED > 0.9, np.nan, FIXED)},
-    {"fixed": np.zeros(SHAPE)}, {"mask": np.zeros(SHAPE)},
-])  # fmt: skip
-def test_wrong_volumes_are_refused(wrong: dict[str, Any]):
-    with saying(depthcli.InputError):
-        depthcli.registration_confidence(**{"fixed": FIXED, "warped": FIXED, "spacing": (1, 1, 1)} | wrong)
+def test_wrong_volumes_are_refused_and_one_given_twice_is_said():
+    given = {"fixed": FIXED, "warped": FIXED, "spacing": (1, 1, 1), "preset": "axes"}
+    for wrong in (
+        {"spacing": None}, {"warped": FIXED[:5]}, {"warped": np.where(FIXED > 0.9, np.nan, FIXED)},
+        {"fixed": np.zeros(SHAPE)}, {"mask": np.zeros(SHAPE)},
+    ):  # fmt: skip
+        with saying(depthcli.InputError):
+            depthcli.registration_confidence(**given | wrong)
+    for warped, is_said in ((FIXED.copy(), True), (np.roll(FIXED, 1, axis=2), False)):
+        found = depthcli.registration_confidence(**given | {"warped": warped})
+        assert any("the same" in line for line in found.warnings) == is_said
 
 
 def of_wide(overrides: dict[str, Any]) -> Any:
@@ -206,10 +201,3 @@ def test_a_bound_that_ends_with_the_search_is_open(tmp_path: Path):
         assert np.isposinf(read_volume(tmp_path / f"bound{suffix}", infinite=True).values).all()
         assert (read_volume(tmp_path / f"status{suffix}").values == 1).all()
     assert (tmp_path / "points.csv").read_text().splitlines()[1].split(",")[-2] == "> 2.5198"
-
-
-def test_a_volume_given_twice_is_said():
-    found = depthcli.registration_confidence(FIXED, FIXED.copy(), (1, 1, 1), "axes")
-    assert any("the same" in line for line in found.warnings)
-    moved = depthcli.registration_confidence(FIXED, np.roll(FIXED, 1, axis=2), (1, 1, 1), "axes")
-    assert not any("the same" in line for line in moved.warnings)
