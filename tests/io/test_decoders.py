@@ -47,6 +47,10 @@ def test_transparency_and_inverse_grey_of_sixteen_bits(tmp_path: Path):
     found, lines = warned(read_image, stored(tmp_path, WIDE, photometric="rgb", extrasamples=["unspecified"]))
     np.testing.assert_array_equal(found, RGB)
     assert "a.tif" in lines[0] and "channel" in lines[0]
+    for values in (GREY > 30000, GREY):  # codes of which zero is white are refused
+        path = stored(tmp_path, values, photometric="miniswhite")
+        for read in (read_grey, read_mask):
+            refused(InputError, read, path)
 
 
 def test_what_is_no_image_is_said_with_what_is_expected(tmp_path: Path):
@@ -133,13 +137,6 @@ def test_the_rest_of_a_file_of_several_images_is_refused_or_named(tmp_path: Path
     for name, words in (("m.jpg", "3 images"), ("n.pgm", "bytes follow")):
         _, lines = warned(read_image, tmp_path / name)
         assert any(f"{name}: " in line and words in line for line in lines)
-
-
-def test_codes_of_which_zero_is_white_are_refused(tmp_path: Path):
-    for values in (GREY > 30000, GREY):
-        path = stored(tmp_path, values, photometric="miniswhite")
-        for read in (read_grey, read_mask):
-            refused(InputError, read, path)
 
 
 VALUES = np.random.default_rng(0).uniform(0.5, 3, (5, 7)).astype(np.float32)

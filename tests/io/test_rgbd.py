@@ -358,11 +358,9 @@ def test_raw_depth_lies_on_the_checkerboards():
 
 K = [[190.0, 0, 20], [0, 190, 15], [0, 0, 1]]
 RIG = {
-    "color": {"K": K, "distortion": [0.1, 0, 0, 0, 0], "size": [40, 30]},
-    "infrared": {"K": K, "size": [36, 28]},
-    "R": np.eye(3).tolist(),
-    "t": [-0.05, 0, 0],
-}
+    "color": {"K": K, "distortion": [0.1, 0, 0, 0, 0], "size": [40, 30]}, "infrared": {"K": K, "size": [36, 28]},
+    "R": np.eye(3).tolist(), "t": [-0.05, 0, 0],
+}  # fmt: skip
 
 
 def write_infrared(folder, calibration=RIG, infrared=(28, 36), dtype=np.uint8):

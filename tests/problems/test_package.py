@@ -49,20 +49,16 @@ assert "numba" not in sys.modules"""
     python("-c", light)
 
 
-def test_the_stub_names_what_the_package_has():
+def test_the_stub_names_what_the_package_has_and_all_of_it_has_a_docstring():
     tree = ast.parse((ROOT / "depthcli" / "__init__.pyi").read_text())
     imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
     stub = {alias.asname: node.module for node in imports for alias in node.names}
     assert set(depthcli.__all__) == {*stub, "__version__"}
     for name, module in stub.items():
         assert getattr(depthcli, name) is getattr(importlib.import_module(str(module)), name)
+        assert inspect.getdoc(getattr(depthcli, name)), name
     with saying(AttributeError):
         depthcli.stereos  # noqa: B018
-
-
-def test_every_public_name_has_a_docstring():
-    for name in depthcli.__all__[1:]:
-        assert inspect.getdoc(getattr(depthcli, name)), name
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
