@@ -48,6 +48,18 @@ def test_window_planes_agree_with_the_reference(shape):
         np.testing.assert_allclose(mine, naive.local_plane(disparity, trust, 0.3, y, x), atol=6e-3)
 
 
+def test_planes_whose_windows_did_not_change_are_taken_over():
+    disparity, trust = random_map(np.random.default_rng(8), (40, 150)), np.ones((40, 150), np.float32)
+    first = window_planes(disparity, trust, 0.3)
+    changed = np.zeros((40, 150), bool)
+    changed[20:23, 70:75] = True
+    other = np.where(changed, np.float32(25), disparity)
+    again, anew = window_planes(other, trust, 0.3, first, changed), window_planes(other, trust, 0.3)
+    for name in PARTS:
+        np.testing.assert_array_equal(getattr(again, name), getattr(anew, name))
+    np.testing.assert_array_equal(first.value, window_planes(disparity, trust, 0.3).value)
+
+
 def test_votes_agree_with_the_reference():
     rng, shape = np.random.default_rng(5), (43, 90)
     lab = rng.integers(60, 160, (*shape, 3), dtype=np.uint8)
