@@ -12,7 +12,7 @@ from depthcli.core.cameras.rig import Rig
 SIZE = (640, 480)
 SQUARE = 0.025
 _PX = 48  # of the texture, a square
-_SUB = 4  # rays a pixel, in x and in y
+_SUB = 3  # rays a pixel, in x and in y
 
 
 def chessboard(columns: int, rows: int) -> np.ndarray:
@@ -45,19 +45,17 @@ def _rays(matrix: bytes, lens: tuple[float, ...], fisheye: bool) -> np.ndarray:
     step = (np.arange(_SUB) + 0.5) / _SUB - 0.5
     x, y = (np.arange(n)[:, None] + step for n in SIZE)
     grid = np.stack(np.meshgrid(x.ravel(), y.ravel()), -1).reshape(-1, 2)
-    return camera.rays(grid).reshape(SIZE[1] * _SUB, SIZE[0] * _SUB, 2)
+    return camera.rays(grid).reshape(SIZE[1] * _SUB, SIZE[0] * _SUB, 2).astype(np.float32)
 
 
 def photo(camera: Camera, texture: np.ndarray, turn: np.ndarray, shift: np.ndarray, noise: int = 0) -> np.ndarray:
     """(H, W) uint8 of a board whose first corner lies at ``shift`` in the camera's frame, turned by ``turn``."""
     rays = _rays(camera.matrix.tobytes(), camera.distortion, camera.fisheye)
     inverse = np.linalg.inv(np.column_stack([turn[:, 0], turn[:, 1], shift]))
-    place = [rays[..., 0] * row[0] + rays[..., 1] * row[1] + row[2] for row in inverse]
-    ahead = place[2] > 0
-    u, v = (
-        np.where(ahead, place[k] / np.where(ahead, place[2], 1) / SQUARE * _PX + 2 * _PX - 0.5, -1).astype(np.float32)
-        for k in (0, 1)
-    )
+    on_board = np.diag([_PX / SQUARE, _PX / SQUARE, 1]) @ inverse
+    on_board[:2] += (2 * _PX - 0.5) * on_board[2]
+    place = cv2.transform(rays, on_board.astype(np.float32))
+    u, v = (np.where(place[..., 2] > 0, place[..., k] / place[..., 2], np.float32(-1)) for k in (0, 1))
     fine = cv2.remap(texture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(120,))
     image = cv2.resize(fine.astype(np.float32), SIZE, interpolation=cv2.INTER_AREA)
     image += np.random.default_rng(noise).normal(0, 2, image.shape)
