@@ -26,6 +26,7 @@ from depthcli.io.formats.map_format import map_formats
 from depthcli.io.scenes.find import ALL_KINDS
 from depthcli.methods.registration.search import MEASURES
 from tests.command_line import ended
+from tests.files import laid
 from tests.golden import saying
 
 ROOT = Path(__file__).parent.parent
@@ -107,13 +108,13 @@ def test_every_link_leads_somewhere_in_the_repository_and_pictures_are_small():
 
 
 def test_dead_links_are_found(tmp_path: Path):
-    (tmp_path / "b.md").write_text("# A `b c`, d\n# Twice\n# Twice\n```\n# no heading\n```\n")
-    page = tmp_path / "a.md"
     alive = "[](b.md) [](b.md#a-b-c-d) [](b.md#twice-1) [](https://x.org/y) `[](code.md)`\n```sh\n[](block.md)\n```\n"
-    page.write_text(alive + "# Own\n[](#own) [](#none) [](b.md#no-heading) ![](c.png) [](../outside.md)")
+    dead = "[](#none) [](b.md#no-heading) ![](c.png) [](../outside.md)"
+    other = "# A `b c`, d\n# Twice\n# Twice\n```\n# no heading\n```\n"
+    laid(tmp_path, {"b.md": other, "a.md": f"{alive}# Own\n[](#own) {dead}"})
     (tmp_path.parent / "outside.md").touch()
-    dead = [line.removeprefix("a.md: ") for line in _docs_links.dead_links(tmp_path, [page])]
-    assert dead == ["#none", "b.md#no-heading", "c.png", "../outside.md"]
+    found = [line.removeprefix("a.md: ") for line in _docs_links.dead_links(tmp_path, [tmp_path / "a.md"])]
+    assert found == ["#none", "b.md#no-heading", "c.png", "../outside.md"]
 
 
 def test_measured_tables_have_their_place():

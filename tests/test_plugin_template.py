@@ -10,13 +10,12 @@ import sys
 import sysconfig
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from depthcli.core.plugins import registries, registry_of
-from depthcli.io.formats.images import write_png
 from depthcli.testing.inputs import shifted_pair
 from tests.command_line import ended
+from tests.files import laid
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "depthcli_example"
@@ -57,11 +56,9 @@ def write_version(project: Path, version: str) -> None:
 def env(tmp_path_factory: pytest.TempPathFactory) -> Environment:
     made = Environment(tmp_path_factory.mktemp("template"))
     for name, shift in (("near", 9), ("far", 5)):
-        folder, pair = made.place / "scenes" / name, shifted_pair(48, 64, shift)
-        folder.mkdir(parents=True)
-        write_png(folder / "first.png", pair.left)
-        write_png(folder / "second.png", pair.right)
-        np.savetxt(folder / "first_truth.table", np.full((48, 64), shift))
+        pair, truth = shifted_pair(48, 64, shift), f"{f'{shift} ' * 64}\n" * 48
+        files = {"first.png": pair.left, "second.png": pair.right, "first_truth.table": truth}
+        laid(made.place / "scenes" / name, files)
     return made
 
 

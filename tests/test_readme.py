@@ -10,6 +10,7 @@ import pytest
 
 import depthcli
 from tests.command_line import ended, statuses
+from tests.files import laid
 
 ROOT = Path(__file__).resolve().parent.parent
 README, CONTRIBUTING = ((ROOT / name).read_text("utf-8") for name in ("README.md", "CONTRIBUTING.md"))
@@ -30,10 +31,8 @@ def test_the_makefile_evaluates_although_a_scene_fails(made_scenes: Path, tmp_pa
     damaged = tmp_path / "scenes/planes_0/left.png"
     image = damaged.read_bytes()
     damaged.write_bytes(b"damaged")
-    (tmp_path / "experiments").mkdir()
-    (tmp_path / "experiments/small.yaml").write_text("base: opencv-bm\nblock: 7\n")
-    page = (ROOT / "docs/batches.md").read_text("utf-8")
-    (tmp_path / "Makefile").write_text(page.partition("```make file=Makefile\n")[2].partition("```")[0])
+    makefile = (ROOT / "docs/batches.md").read_text("utf-8").partition("```make file=Makefile\n")[2].partition("```")[0]
+    laid(tmp_path, {"experiments/small.yaml": "base: opencv-bm\nblock: 7\n", "Makefile": makefile})
     program = tmp_path / "bin/depthcli"
     program.parent.mkdir()
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m depthcli "$@"\n')

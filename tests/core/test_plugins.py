@@ -22,6 +22,7 @@ from depthcli.evaluation import protocols
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_disparity, read_pfm, read_plane
 from depthcli.problems.stereo import StereoConfig
+from tests.files import laid
 from tests.golden import refused
 
 COSTS = Family.of("depthcli.methods.stereo.cost")
@@ -135,13 +136,9 @@ def scenes(two_scenes: Path, tmp_path: Path) -> Path:
 def install(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, source: str) -> Path:
     """Make a package that looks installed: a module in it and its metadata."""
     package = folder / name.replace("-", "_")
-    package.mkdir()
-    (package / "__init__.py").touch()
-    (package / "module.py").write_text(source)
-    (package / "_private.py").write_text("import nowhere_at_all")
-    info = folder / f"{package.name}-1.2.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
+    laid(package, {"__init__.py": "", "module.py": source, "_private.py": "import nowhere_at_all"})
+    metadata = f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n"
+    laid(folder, {f"{package.name}-1.2.dist-info/METADATA": metadata})
     monkeypatch.syspath_prepend(str(folder))
     return package
 
@@ -237,10 +234,9 @@ def test_a_broken_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_presets_of_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tool):
     package = install(tmp_path, monkeypatch, "strange-kit", "")
-    for command, name in (("stereo", "fast"), ("stereo", "Elas"), ("nowhere", "odd")):
-        file = package / "presets" / command / f"{name}.yaml"
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text("# Another one.\npipeline: opencv_bm\n")
+    text = "# Another one.\npipeline: opencv_bm\n"
+    names = ("stereo/fast", "stereo/Elas", "nowhere/odd")
+    laid(package / "presets", {f"{name}.yaml": text for name in names})
     own = ["--plugin", "strange_kit"]
     assert "stereo Elas " in tool.out(0, "presets", *own)
     fast = package / "presets" / "stereo" / "fast.yaml"
@@ -283,9 +279,8 @@ def test_layouts_and_formats_are_recorded_where_they_are_used(file: Path, scenes
     tool.told(2, *run, "--scheduler", "tcp://127.0.0.1:9")  # which has no files
     assert main(run) == 0
     assert "\n    mine.py: " in (tmp_path / "other" / "run.yaml").read_text()
-    (tmp_path / "numbers").mkdir()
     name = next(path.parent.name for path in scenes.rglob("disp_left.pfm"))
-    np.savetxt(tmp_path / "numbers" / f"{name}.numbers", np.full((64, 96), 5))
+    laid(tmp_path, {f"numbers/{name}.numbers": f"{'5 ' * 96}\n" * 64})
     out = tmp_path / "scores"
     of = ["evaluate", str(tmp_path / "numbers"), "--truth", str(scenes), "--scenes", name, "-o", str(out)]
     assert main([*of, "-q", "--plugin", str(file)]) == 0
@@ -306,14 +301,16 @@ def test_maps_of_a_format_are_read_everywhere(file: Path, tmp_path: Path):
 
 
 def test_a_config_names_its_plugins(file: Path, tmp_path: Path):
-    (tmp_path / "low.yaml").write_text("plugins: [mine.py]\npipeline: local\ncost: wide_census\n")
-    (tmp_path / "high.yaml").write_text("plugins: [more.py]\nbase: low\naggregation: cross\n")
-    (tmp_path / "more.py").write_text(subclass("LowCensus", "methods.stereo.cost.census.Census"))
+    files = {
+        "low.yaml": "plugins: [mine.py]\npipeline: local\ncost: wide_census\n",
+        "high.yaml": "plugins: [more.py]\nbase: low\naggregation: cross\n",
+        "more.py": subclass("LowCensus", "methods.stereo.cost.census.Census"),
+    }
+    laid(tmp_path, files)
     config = load_config(StereoConfig, tmp_path / "high.yaml")
     assert config.plugins == ("mine.py", "more.py")
     assert {"wide_census", "low_census"} <= set(COSTS.names())
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "run.yaml").write_text(dump_config(config))
+    laid(tmp_path, {"run/run.yaml": dump_config(config)})
     assert load_config(StereoConfig, tmp_path / "run" / "run.yaml") == config  # the files are in use already
     forget()
     refused(ConfigError, load_config, StereoConfig, tmp_path / "run" / "run.yaml")
@@ -342,12 +339,10 @@ def test_methods_of_every_command_are_configured(file: Path, command: str, text:
 
 
 def test_a_file_of_a_family_holds_one_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    folder = tmp_path / "strange_family"
-    folder.mkdir()
-    (folder / "__init__.py").write_text("from depthcli.core.method import Method\nclass Base(Method): ...\n")
     head = "from strange_family import Base\n"
-    (folder / "both.py").write_text(f"{head}class A(Base): ...\nclass B(Base): ...\n")
-    (folder / "none.py").write_text(head)
+    base = "from depthcli.core.method import Method\nclass Base(Method): ...\n"
+    both = f"{head}class A(Base): ...\nclass B(Base): ...\n"
+    laid(tmp_path / "strange_family", {"__init__.py": base, "both.py": both, "none.py": head})
     monkeypatch.syspath_prepend(str(tmp_path))
     importlib.import_module("strange_family")
     family = Family("strange_family")

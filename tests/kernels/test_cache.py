@@ -14,6 +14,7 @@ import pytest
 from depthcli.kernels import cache
 from depthcli.kernels.jit import empty, helper, jit, zeros
 from tests.command_line import ended
+from tests.files import laid
 
 ROOT = Path(__file__).parents[2]
 
@@ -144,17 +145,14 @@ print(hashlib.sha256(sums.tobytes()).hexdigest(), energy.discrepancy.stats.cache
 
 
 def test_a_change_of_any_file_with_kernels_is_another_folder(tmp_path: Path):
-    package = tmp_path / "package"
-    (package / "kernels").mkdir(parents=True)
-    (package / "kernels" / "options.py").write_text("FAST = True")
-    (package / "one.py").write_text(KERNEL)
-    (package / "other.py").write_text("def two():\n    return 2\n")
+    other = "def two():\n    return 2\n"
+    package = laid(tmp_path / "package", {"kernels/options.py": "FAST = True", "one.py": KERNEL, "other.py": other})
 
     def digest(folder: Path) -> str:
         return cache.digest_of_kernels.__wrapped__(folder, "**/*.py")
 
     before = digest(package)
-    (package / "other.py").write_text("def two():\n    return 3\n")
+    laid(package, {"other.py": other.replace("2", "3")})
     moved = shutil.copytree(package, tmp_path / "moved" / "package")
     assert digest(package) == digest(moved) == before
     for file in (package / "one.py", moved / "kernels" / "options.py"):

@@ -1,6 +1,5 @@
 """Scenes and runs to make a page of: maps with holes, status, confidence, odd names."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +7,7 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.maps import Status
-from depthcli.io.formats.disparity import write_pfm, write_status
-from depthcli.io.formats.images import write_png
+from tests.files import laid
 
 SHAPE = (36, 48)
 ODD = """<script>alert("1")<&'x"""
@@ -29,10 +27,8 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
         image = rng.integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
         truth, visible = truth_of(seed), np.ones(SHAPE, bool)
         truth[:2, :5], visible[:, :8] = np.nan, False
-        for file, picture in (("left", image), ("right", image), ("mask_nonocc", visible)):
-            write_png(folder / name / f"{file}.png", picture)
-        write_pfm(folder / name / "disp_left.pfm", truth)
-        (folder / name / "meta.json").write_text(json.dumps({"max_disparity": 15, "protocol": "middlebury_v2"}))
+        files = {"left.png": image, "right.png": image, "mask_nonocc.png": visible, "disp_left.pfm": truth}
+        laid(folder / name, files | {"meta.json": {"max_disparity": 15, "protocol": "middlebury_v2"}})
     return folder
 
 
@@ -45,21 +41,20 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     for place, spread in zip(places, (0.25, 2.0), strict=True):
         for seed, name in enumerate(("plain", ODD)):
             values = np.maximum(truth_of(seed) + rng.normal(0, spread, SHAPE).astype(np.float32), np.float32(0.5))
-            status = np.zeros(SHAPE, np.uint8)
+            files = {"disp_left.pfm": values}
             if place == places[0]:
-                write_pfm(place / name / "confidence_lrd.pfm", rng.uniform(0, 1, SHAPE).astype(np.float32))
+                status = np.zeros(SHAPE, np.uint8)
                 status[:, :8] = int(Status.OCCLUDED | Status.FILLED)
-                write_status(place / name / "status.png", status)
                 bound = np.abs(values - truth_of(seed)) + np.linspace(-0.2, 8, SHAPE[1], dtype=np.float32)
                 bound[4] = np.inf
-                write_pfm(place / name / "bound.pfm", np.maximum(bound, np.float32(0.01)))
-                write_pfm(place / name / "probability.pfm", rng.uniform(0, 1, SHAPE).astype(np.float32))
+                files |= {"status.png": status, "bound.pfm": np.maximum(bound, np.float32(0.01))}
+                for measure in ("confidence_lrd", "probability"):
+                    files[f"{measure}.pfm"] = rng.uniform(0, 1, SHAPE).astype(np.float32)
             else:
                 values[10:14, 20:30] = np.nan
-            write_pfm(place / name / "disp_left.pfm", values)
+            laid(place / name, files)
     seconds = [{"scene": n, "status": "done", "seconds": {"match": 0.5 + i}} for i, n in enumerate(("plain", ODD))]
-    (places[0] / "report.json").write_text(json.dumps({"scenes": seconds}))
-    (places[0] / "run.yaml").write_text("method: <census>\n")
+    laid(places[0], {"report.json": {"scenes": seconds}, "run.yaml": "method: <census>\n"})
     return places
 
 

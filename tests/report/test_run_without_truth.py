@@ -1,6 +1,5 @@
 """The page of runs whose scenes have no ground truth, or not all of them."""
 
-import json
 import shutil
 import unicodedata
 from dataclasses import replace
@@ -15,13 +14,14 @@ from depthcli.core.volumes import Grid
 from depthcli.evaluation.evaluate import ScoredMap
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.scores import MapResult
-from depthcli.io.formats.disparity import read_pfm, read_status, write_pfm
-from depthcli.io.formats.images import read_grey, read_image, write_png
+from depthcli.io.formats.disparity import read_pfm, read_status
+from depthcli.io.formats.images import read_grey, read_image
 from depthcli.io.formats.volumes import read_volume, write_array
 from depthcli.io.scenes import VolumePairScene
 from depthcli.report.packing import unpack
 from depthcli.report.scene_view import view_with_truth
 from depthcli.report.without_truth import _doubt
+from tests.files import laid
 from tests.report.conftest import ODD
 from tests.report.test_page import Reader, registration_truth
 
@@ -33,8 +33,8 @@ def pair(folder: Path, shift: int, noise: float) -> None:
     rng = np.random.default_rng(shift)
     left = rng.integers(0, 256, SIZE).astype(np.float64)
     right = np.roll(left, -shift, 1) + rng.normal(0, noise, SIZE)
-    for name, view in (("left", left), ("right", right)):
-        write_png(folder / f"{name}.png", np.repeat(np.clip(view, 0, 255).astype(np.uint8)[..., None], 3, axis=2))
+    views = {"left.png": left, "right.png": right}
+    laid(folder, {n: np.repeat(v.clip(0, 255).astype(np.uint8)[..., None], 3, axis=2) for n, v in views.items()})
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +43,7 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pairs") / "set"
     for name, shift, noise in (("easy", 3, 0.0), ("hard", 5, 60.0), (ODD, 4, 15.0)):
         pair(folder / name, shift, noise)
-    (folder / "damaged").mkdir()
-    for name in ("left.png", "right.png"):
-        (folder / "damaged" / name).write_bytes(b"x")
+    laid(folder / "damaged", {"left.png": b"x", "right.png": b"x"})
     return folder
 
 
@@ -94,8 +92,8 @@ def test_scenes_with_and_without_truth_share_a_page(pairs: Path, tmp_path: Path)
     scenes = tmp_path / "set"
     shutil.copytree(pairs / "easy", scenes / "known")
     shutil.copytree(pairs / "hard", scenes / "unknown")
-    write_pfm(scenes / "known" / "disp_left.pfm", np.full(SIZE, 3, np.float32))
-    (scenes / "known" / "meta.json").write_text(json.dumps({"protocol": "middlebury_v2"}))
+    truth = np.full(SIZE, 3, np.float32)
+    laid(scenes / "known", {"disp_left.pfm": truth, "meta.json": {"protocol": "middlebury_v2"}})
     assert stereo(scenes, tmp_path / "run", "--html", "--bound") == 0
     reader = Reader(tmp_path / "run" / "evaluation")
     known, unknown = reader.scenes()
@@ -129,8 +127,7 @@ def test_control_characters_of_names_are_escaped(pairs: Path, tmp_path: Path):
 
 def test_a_page_that_cannot_be_written_fails_no_scene(pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     foreign = tmp_path / "run" / "evaluation" / "report.html"
-    foreign.parent.mkdir(parents=True)
-    foreign.write_text("mine")
+    laid(foreign.parent, {foreign.name: "mine"})
     assert stereo(pairs, tmp_path / "run", "--html", "--scenes", "easy") == 3
     assert foreign.read_text() == "mine"
     error = capsys.readouterr().err
@@ -141,11 +138,10 @@ def test_a_page_that_cannot_be_written_fails_no_scene(pairs: Path, tmp_path: Pat
 def test_frames_of_a_sensor_show_their_bound(tmp_path: Path):
     rng = np.random.default_rng(0)
     for number in range(2):
-        folder = tmp_path / "set" / f"frame{number}"
-        write_png(folder / "color.png", rng.integers(0, 256, (*SIZE, 3)).astype(np.uint8))
+        color = rng.integers(0, 256, (*SIZE, 3)).astype(np.uint8)
         depth = (1000 + 10 * (number + 1) * rng.normal(0, 1, SIZE)).astype(np.uint16)
         depth[10:14, 20:30] = 0
-        write_png(folder / "depth.png", depth)
+        laid(tmp_path / "set" / f"frame{number}", {"color.png": color, "depth.png": depth})
     words = ["-i", str(tmp_path / "set"), "-o", str(tmp_path / "run"), "--html", "-q"]
     assert main(["refine-kinect", "dsrm", *words]) == 0
     reader = Reader(tmp_path / "run" / "evaluation")

@@ -16,6 +16,7 @@ from depthcli.cli import main
 from depthcli.run import records
 from tests.command_line import contents, ended, rows, start, wait_for
 from tests.conftest import sampled
+from tests.files import laid
 
 PRESET = "opencv-sgbm"
 SCENES = 48
@@ -141,11 +142,9 @@ def test_no_scheduler_there_is_told_in_a_line(tmp_path: Path, tool, made_scenes:
 @pytest.mark.system
 def test_workers_without_an_installed_plug_in_are_refused(cluster: Cluster, tmp_path: Path, made_scenes: Path):
     packages = tmp_path / "packages"
-    info = packages / "far_cost-1.2.dist-info"
-    info.mkdir(parents=True)
     source = "from depthcli.methods.stereo.cost.census import Census\nclass Far(Census):\n    '''Far.'''\n"
-    (packages / "far_cost.py").write_text(source)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: far-cost\nVersion: 1.2\n")
+    metadata = "Metadata-Version: 2.1\nName: far-cost\nVersion: 1.2\n"
+    laid(packages, {"far_cost.py": source, "far_cost-1.2.dist-info/METADATA": metadata})
     command = ["stereo", "fast", "-i", str(made_scenes), "-o", str(tmp_path / "out"), "--set", "cost=far"]
     command += ["--plugin", "far_cost"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(packages), os.environ["PYTHONPATH"]])}

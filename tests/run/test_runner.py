@@ -31,6 +31,7 @@ from depthcli.run.runner import run_scenes
 from depthcli.run.scene import Task, Work, _keep_only, compute_scene
 from depthcli.show.table import Column, run_table
 from tests.command_line import contents, ended
+from tests.files import laid
 from tests.golden import refused, told
 
 
@@ -305,10 +306,7 @@ def test_what_is_finished_when_the_signal_comes_is_reported(folder: Folder, monk
 def test_leftovers_of_killed_runs_are_removed(folder: Folder):
     folder.run()
     before = folder.bytes()
-    leftover = folder.output / ".partial-12345" / "0"
-    leftover.mkdir(parents=True)
-    (leftover / "half").write_text("x")
-    (folder.output / ".report.json.1-2.partial~").write_text("x")
+    laid(folder.output, {".partial-12345/0/half": "x", ".report.json.1-2.partial~": "x"})
     (folder.output / ".X.partial~" / "deep").mkdir(parents=True)
     assert hidden_folder(folder.output) != hidden_folder(folder.output)  # numbers of processes come again
     folder.run()
@@ -443,24 +441,21 @@ def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path:
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_files_that_no_record_claims_are_never_replaced(folder: Folder, overwrite: bool):
     """Own files in the place of a result, with a name of a result or of its record: the scene fails, they stay."""
-    mine = [folder.output / file for file in ("a/out.txt", "b/record.json", "c/notes.txt")]
-    for file in mine:
-        file.parent.mkdir(parents=True)
-        file.write_text('{"my": 1}')
+    mine = ("a/out.txt", "b/record.json", "c/notes.txt")
+    laid(folder.output, dict.fromkeys(mine, '{"my": 1}'))
     rows = folder.run(overwrite=overwrite)
     assert statuses(rows) == "failed failed done done"
     assert "a: out.txt would be replaced" in rows["a"]["error"]
     assert "b: record.json would be" in rows["b"]["error"]
-    assert {file.read_text() for file in mine} == {'{"my": 1}'}
+    assert {(folder.output / file).read_text() for file in mine} == {'{"my": 1}'}
     assert not (folder.output / "a/first.txt").exists()
-    mine[0].unlink()
+    (folder.output / "a/out.txt").unlink()
     assert folder.run(only="a")["a"]["status"] == "done"
 
 
 @pytest.mark.parametrize(("name", "overwrite"), [("run.yaml", False), ("report.csv", True), ("status.txt", True)])
 def test_a_folder_with_own_files_is_no_run_folder(folder: Folder, name: str, overwrite: bool):
-    folder.output.mkdir()
-    (folder.output / name).write_text("pipeline: mine")
+    laid(folder.output, {name: "pipeline: mine"})
     refused(ConfigError, folder.run, overwrite=overwrite)
     assert [path.name for path in folder.output.iterdir()] == [name]
     assert (folder.output / name).read_text() == "pipeline: mine"
@@ -670,8 +665,7 @@ def test_files_are_on_the_disk_before_their_record_says_done(folder: Folder, for
     for how in ("rename", "replace"):
         monkeypatch.setattr(os, how, functools.partial(moved, how))
     if foreign:  # which keeps the folder from being moved as a whole
-        (folder.output / "a").mkdir(parents=True)
-        (folder.output / "a" / "notes.txt").write_text("mine")
+        laid(folder.output, {"a/notes.txt": "mine"})
     folder.run(only="a")
     run_file = steps.index(("flush", "run.yaml"))
     hidden = next(step[1] for step in steps if step[0] == "flush" and step[1].endswith("0"))
