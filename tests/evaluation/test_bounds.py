@@ -59,20 +59,17 @@ def test_pixels_of_bounds():
     assert scores_of([NAN], [1]) == {}
 
 
-def test_a_map_of_open_bounds_has_no_coverage():
-    maps = [[*scores_of([1.0], [bound]).values()] for bound in (math.inf, 2)]
-    assert math.isnan(maps[0][0].value)
-    found = {score.metric.name: score.value for score in bound_means(maps) if score.metric.name != BAD}
-    assert (found[COVERAGE], found[WORST], found[COVERING], found["bound finite"]) == (100, 100, 100, 50)
-
-
 def test_means_weigh_maps_alike_and_know_the_worst():
-    maps = [
-        [*scores_of([1.0] * n, [2.0] * inside + [0.5] * (n - inside)).values()] for n, inside in ((10, 8), (100, 70))
-    ]
-    found = {score.metric.name: score for score in bound_means(maps) if score.metric.name != BAD}
-    assert (found[COVERAGE].value, found[WORST].value, found[COVERING].value) == (75, 70, 50)
+    def means(*maps: tuple[list[float], list[float]]) -> dict[str, Score]:
+        scores = bound_means([[*scores_of(*each).values()] for each in maps])
+        return {score.metric.name: score for score in scores if score.metric.name != BAD}
+
+    found = means(*(([1.0] * n, [2.0] * inside + [0.5] * (n - inside)) for n, inside in ((10, 8), (100, 70))))
+    assert [found[name].value for name in (COVERAGE, WORST, COVERING)] == [75, 70, 50]
     assert (found[COVERAGE].pixels, found[COVERING].pixels) == (110, 2)
+    assert math.isnan(scores_of([1.0], [math.inf])[f"{COVERAGE} 90"].value)  # open bounds have no coverage
+    found = means(([1.0], [math.inf]), ([1.0], [2.0]))
+    assert [found[name].value for name in (COVERAGE, WORST, COVERING, "bound finite")] == [100, 100, 100, 50]
 
 
 def test_bounds_of_depth_are_in_meters_and_by_the_status_of_depth_maps():
@@ -106,25 +103,19 @@ def test_promise_of_a_config():
     assert {promised(text) for text in ("bound: {level: 80, within: many}", "bound: true", "", "{")} == {None}
 
 
-@pytest.fixture
-def two_runs(made_scenes: Path, tmp_path: Path) -> list[str]:
-    """Return the words of an evaluation of two runs: errors of .5 px above row 20, 4 px below, and 1 px of bound."""
-    name = "curved_0"
+def test_evaluate_measures_bounds_of_two_runs(made_scenes: Path, tmp_path: Path, tool):
+    """Errors of .5 px above row 20, 4 px below, and 1 px of bound."""
+    name, out, runs = "curved_0", tmp_path / "out", (tmp_path / "a", tmp_path / "b")
     truth = read_disparity(made_scenes / name / "disp_left.pfm")
     error = np.full(truth.shape, 4, np.float32)
     error[:20] = 0.5
-    for run, level in (("a", 0.9), ("b", 0.5)):
-        laid(tmp_path / run / name, {"disp_left.pfm": truth + error, "bound.pfm": np.full_like(truth, 1)})
-        laid(tmp_path / run, {"run.yaml": f"bound: {{level: {level}, within: 5}}\n"})
+    for run, level in zip(runs, (0.9, 0.5), strict=True):
+        laid(run / name, {"disp_left.pfm": truth + error, "bound.pfm": np.full_like(truth, 1)})
+        laid(run, {"run.yaml": f"bound: {{level: {level}, within: 5}}\n"})
     status = np.where(error < 1, 0, 16).astype(np.uint8)
-    laid(tmp_path / "a" / name, {"probability.pfm": np.ones_like(truth), "status.png": status})
-    runs = [str(tmp_path / "a"), str(tmp_path / "b")]
-    return ["evaluate", *runs, "--truth", str(made_scenes), "--scenes", name, "-o", str(tmp_path / "out"), "--html"]
-
-
-def test_evaluate_measures_bounds_of_two_runs(two_runs: list[str], tmp_path: Path, tool):
-    assert "said filled" in tool.out(0, *two_runs, "--tables", "bounds")
-    out = tmp_path / "out"
+    laid(runs[0] / name, {"probability.pfm": np.ones_like(truth), "status.png": status})
+    words = ["evaluate", *runs, "--truth", made_scenes, "--scenes", name, "-o", out, "--html", "--tables"]
+    assert "said filled" in tool.out(0, *words, "bounds")
     report = json.loads((out / "scores.json").read_text())
     rows = {(r["run"], r["mask"], r["metric"]): r for r in report["bounds"] if r["metric"] != BAD}
     assert [rows["a", region, COVERAGE]["value"] for region in ("said measured", "said filled")] == [100, 0]
@@ -143,13 +134,10 @@ def test_evaluate_measures_bounds_of_two_runs(two_runs: list[str], tmp_path: Pat
     assert not inside & outside - {(255, 255, 255)}
     assert "Coverage of the bounds against their level, nonocc" in (out / "report.html").read_text("utf-8")
     assert "bounds/b/" in (out / "report.md").read_text("utf-8")
-
-
-def test_runs_without_bounds_have_no_table_and_damaged_ones_a_warning(two_runs: list[str], tmp_path: Path, tool):
-    (bound_a,), (bound_b,) = (tuple((tmp_path / run).rglob("bound.pfm")) for run in "ab")
-    bound_a.unlink()
-    bound_b.write_bytes(b"damaged")
-    printed = tool.both(0, *two_runs, "--tables", "all")
+    # Without bounds there is no table, and damaged ones have a warning.
+    (runs[0] / name / "bound.pfm").unlink()
+    (runs[1] / name / "bound.pfm").write_bytes(b"damaged")
+    printed = tool.both(0, *words, "all")
     assert "bounds of the error" not in printed.out and "bound.pfm" in printed.err
-    assert json.loads((tmp_path / "out" / "scores.json").read_text())["bounds"] == []
-    assert "Coverage of the bounds" not in (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert json.loads((out / "scores.json").read_text())["bounds"] == []
+    assert "Coverage of the bounds" not in (out / "report.html").read_text("utf-8")

@@ -45,9 +45,8 @@ def find(folder: Path) -> list:
 def test_our_layout(tmp_path: Path):
     meta = {"depth_scale": 2000, "intrinsics": {"fx": 500, "fy": 510, "cx": 4, "cy": 3}, "fb": 40}
     truth_files = {"depth_true.png": DEPTH * np.uint16(2), "mask_gap.png": DEPTH == 0}
-    (scene,) = find(
-        laid(tmp_path / "in", {f"a/{k}": v for k, v in (FRAME | truth_files | {"meta.json": meta}).items()})
-    )
+    laid(tmp_path / "in/a", FRAME | truth_files | {"meta.json": meta})
+    (scene,) = find(tmp_path / "in")
     assert (scene.name, scene.layout, scene.protocol, scene.has_truth) == ("a", "rgbd", "depth", True)
     frame, truth = load(scene), true(scene)
     assert np.isnan(frame.depth[0]).all() and (frame.depth[1:] == 1).all() and (truth.depth[1:] == 2).all()
@@ -171,8 +170,8 @@ def test_names_that_are_times_are_in_the_order_of_time(tmp_path: Path, color: st
     for time in times:
         laid(tmp_path / "s", {f"{color}/{time}.png": COLOR, f"depth/{time}.png": DEPTH})
     (sequence,) = sequences(find(tmp_path))
-    assert isinstance(sequence, SequenceScene) and [frame.name for frame in sequence.frames] == [
-        f"s/{time}" for time in times]  # fmt: skip
+    assert isinstance(sequence, SequenceScene)
+    assert [frame.name for frame in sequence.frames] == [f"s/{time}" for time in times]
 
 
 def test_tum_frames_have_the_pose_of_their_time(tmp_path: Path):
@@ -260,20 +259,14 @@ def test_raw_codes_follow_the_thesis_s_formula():
     np.testing.assert_allclose(distorted.depth_of_raw(raw)[0, :3], 350 / (1090 - codes), rtol=1e-6)
 
 
-_MATRIX = "{0} 0 {1} 0\n0 {0} {2} 0\n0 0 1 0\n0 0 0 1\n"
-
-
-def scannet(folder: Path, names: str) -> Path:
-    color, depth = np.full((24, 32, 3), 100, np.uint8), np.full((12, 16), 1500, np.uint16)
-    cameras = {"color": _MATRIX.format(40, 15.5, 11.5), "depth": _MATRIX.format(20, 7.5, 5.5)}
-    laid(folder, {f"color/{number}.jpg": color for number in (0, 10)})
-    laid(folder, {f"depth/{number}.png": depth for number in (0, 10)})
-    return laid(folder, {names.format(kind): text for kind, text in cameras.items()})
-
-
 @pytest.mark.parametrize("names", ["intrinsic/intrinsic_{}.txt", "intrinsics_{}.txt"])
 def test_scannet(tmp_path: Path, names: str):
-    folder = scannet(tmp_path / "scene0000_00", names)
+    matrix, folder = "{0} 0 {1} 0\n0 {0} {2} 0\n0 0 1 0\n0 0 0 1\n", tmp_path / "scene0000_00"
+    color, depth = np.full((24, 32, 3), 100, np.uint8), np.full((12, 16), 1500, np.uint16)
+    for number in (0, 10):
+        laid(folder, {f"color/{number}.jpg": color, f"depth/{number}.png": depth})
+    cameras = {"color": (40, 15.5, 11.5), "depth": (20, 7.5, 5.5)}
+    laid(folder, {names.format(kind): matrix.format(*numbers) for kind, numbers in cameras.items()})
     first, second = find(tmp_path)
     assert [scene.name for scene in (first, second)] == ["scene0000_00/0", "scene0000_00/10"]
     assert (first.layout, second.number, second.sequence) == ("scannet", 10, "scene0000_00")
@@ -285,7 +278,7 @@ def test_scannet(tmp_path: Path, names: str):
     (folder / "depth" / "10.png").unlink()
     refused(InputError, load, find(tmp_path)[1])
     camera = folder / names.format("color")
-    for text in ("1 2 3", "a", _MATRIX.format(-1, 2, 3)):
+    for text in ("1 2 3", "a", matrix.format(-1, 2, 3)):
         camera.write_text(text)
         refused(InputError, find, folder)
     camera.unlink()
