@@ -10,11 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 import depthcli
-from depthcli.cli import main
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import read_grey
 from depthcli.io.formats.volumes import read_volume
-from tests.command_line import Tool
+from tests.command_line import Tool, run
 from tests.golden import refused
 
 
@@ -22,10 +21,13 @@ def key(row: dict[str, Any]) -> tuple[Any, ...]:
     return row["metric"], row["mask"], row["threshold"], row["unit"]
 
 
-def of_command(tool: Tool, folder: Path, scene: str, run: Path) -> dict[tuple[Any, ...], float]:
-    arguments = ["--truth", str(folder), "--scenes", scene, "--output", str(run / "results")]
-    (result,) = json.loads(tool.out(0, "evaluate", run, *arguments, "--json"))["results"]
-    return {key(row): math.nan if row["value"] is None else row["value"] for row in result["scores"]}
+def by_command(tool: Tool, words: str, folder: Path, scene: str, output: Path) -> tuple[Path, Any]:
+    """Run a command on a scene; return what it wrote, and what its scores should be near."""
+    assert run(*words.split(), "-i", folder, "--scenes", scene, "-o", output, "-q") == 0
+    arguments = ["--truth", folder, "--scenes", scene, "--output", output / "results"]
+    (result,) = json.loads(tool.out(0, "evaluate", output, *arguments, "--json"))["results"]
+    scores = {key(row): math.nan if row["value"] is None else row["value"] for row in result["scores"]}
+    return output / scene, pytest.approx(scores, nan_ok=True)
 
 
 def of_python(scores: depthcli.Scores) -> dict[tuple[Any, ...], float]:
@@ -37,33 +39,27 @@ def masks(folder: Path) -> dict[str, NDArray[np.bool_]]:
 
 
 def test_disparities_have_the_scores_of_the_command(tmp_path: Path, made_scenes: Path, tool: Tool):
-    run = tmp_path / "run"
-    assert main(["stereo", "fast", "-i", str(made_scenes), "--scenes", "planes_0", "-o", str(run), "-q"]) == 0
-    scene = made_scenes / "planes_0"
-    estimate, truth = read_pfm(run / "planes_0" / "disp_left.pfm"), read_pfm(scene / "disp_left.pfm")
-    scores = depthcli.evaluate(estimate, truth, "middlebury-v2", masks(scene))
-    assert of_python(scores) == pytest.approx(of_command(tool, made_scenes, "planes_0", run), nan_ok=True)
+    found, expected = by_command(tool, "stereo fast", made_scenes, "planes_0", tmp_path)
+    estimate, truth = (read_pfm(folder / "disp_left.pfm") for folder in (found, made_scenes / "planes_0"))
+    scores = depthcli.evaluate(estimate, truth, "middlebury-v2", masks(made_scenes / "planes_0"))
+    assert of_python(scores) == expected
     assert scores.headline["all"] == scores.value("bad", "all", 1.0)
     assert scores.error.shape == truth.shape and scores.picture is not None
     assert scores._repr_png_() and repr(scores).startswith("Scores(middlebury-v2, bad 1: nonocc ")
 
 
 def test_depths_have_the_scores_of_the_command(tmp_path: Path, made_kinect: Path, tool: Tool):
-    run, scene = tmp_path / "run", made_kinect / "planes"
-    assert main(["refine-kinect", "nearest", "-i", str(made_kinect), "--scenes", "planes", "-o", str(run), "-q"]) == 0
-    truth = read_pfm(scene / "depth_true.pfm")
-    scores = depthcli.evaluate(read_pfm(run / "planes" / "depth.pfm"), truth, "depth", masks(scene), fb=43.5)
-    assert of_python(scores) == pytest.approx(of_command(tool, made_kinect, "planes", run), nan_ok=True)
+    found, expected = by_command(tool, "refine-kinect nearest", made_kinect, "planes", tmp_path)
+    depth, truth = read_pfm(found / "depth.pfm"), read_pfm(made_kinect / "planes" / "depth_true.pfm")
+    assert of_python(depthcli.evaluate(depth, truth, "depth", masks(made_kinect / "planes"), fb=43.5)) == expected
 
 
 def test_registrations_have_the_scores_of_the_command(tmp_path: Path, made_volumes: Path, tool: Tool):
-    folder, run = made_volumes, tmp_path / "run"
-    assert main(["register-confidence", "axes", "-i", str(folder), "--scenes", "pair_0", "-o", str(run), "-q"]) == 0
-    volumes = (run / "pair_0" / "expected_error.nii.gz", folder / "pair_0" / "error_true.nii.gz")
-    estimate, truth, mask = (read_volume(file).values for file in (*volumes, folder / "pair_0" / "mask.nii.gz"))
+    found, expected = by_command(tool, "register-confidence axes", made_volumes, "pair_0", tmp_path)
+    truth, mask = (read_volume(made_volumes / "pair_0" / f"{name}.nii.gz").values for name in ("error_true", "mask"))
+    estimate = read_volume(found / "expected_error.nii.gz").values
     scores = depthcli.evaluate(estimate, truth, "registration", mask)
-    expected = of_command(tool, folder, "pair_0", run)
-    assert of_python(scores) == pytest.approx(expected, nan_ok=True)
+    assert of_python(scores) == expected
     at_points = depthcli.evaluate(estimate[mask > 0], truth[mask > 0], "registration")
     assert [score.value for score in at_points] == pytest.approx([score.value for score in scores], nan_ok=True)
     assert at_points.scores[0].region == "landmarks"
