@@ -37,8 +37,8 @@ def browser() -> Iterator[Any]:
 class Visit:
     """A page that was opened, with what it said and asked for."""
 
-    def __init__(self, browser: Any, file: Path, width: int = 1280, script: bool = True) -> None:
-        self.context = browser.new_context(viewport={"width": width, "height": 860}, java_script_enabled=script)
+    def __init__(self, browser: Any, file: Path, width: int = 1280) -> None:
+        self.context = browser.new_context(viewport={"width": width, "height": 860})
         self.page = self.context.new_page()
         self.said: list[str] = []
         self.asked: list[str] = []
@@ -72,21 +72,21 @@ class Visit:
         }"""
         return self.page.evaluate(script, [panel, x, y])
 
+    def show(self, name: str) -> None:
+        """Open the viewer on a scene."""
+        number = self.page.locator("article h3").all_inner_texts().index(name)
+        self.page.evaluate(f"location.hash = '#scene-{number}/1'")
+        self.ready(number)
+
     def close(self) -> None:
         assert self.said == []
         self.context.close()
 
 
-def number_of(visit: Visit, name: str) -> int:
-    return visit.page.locator("article h3").all_inner_texts().index(name)
-
-
 def test_values_under_the_pointer(browser: Any, made: Path, runs: list[Path]):
     visit = Visit(browser, made / "report.html")
     for seed, name in enumerate(("plain", ODD)):
-        number = number_of(visit, name)
-        visit.page.evaluate(f"location.hash = '#scene-{number}/1'")
-        visit.ready(number)
+        visit.show(name)
         assert visit.page.locator("#which option:checked").inner_text() == name
         truth = truth_of(seed)
         maps = [read_disparity(run / name / "disp_left.pfm") for run in runs]
@@ -134,9 +134,8 @@ def test_keys_flip_layers_and_scenes(browser: Any, made: Path):
         keys.press(key)
         assert visit.page.locator("#layers [aria-pressed=true]").inner_text() == layer
         if layer == "bound":
-            assert re.match(
-                r"bound of the error [\d.]+\s*[\d.]+\s*[\d.]+ px", visit.page.locator("#legend").inner_text()
-            )
+            legend = visit.page.locator("#legend").inner_text()
+            assert re.match(r"bound of the error [\d.]+\s*[\d.]+\s*[\d.]+ px", legend)
             assert visit.color(0, 0.4)[1] < visit.color(0, 0.6)[1]
     keys.press("w")
     keys.press("1")
@@ -191,17 +190,14 @@ def test_it_fits_a_phone_and_loads_nothing_from_a_network(browser: Any, made: Pa
 def test_full_size_comes_from_the_assets(browser: Any, tmp_path: Path, scenes: Path, runs: list[Path]):
     evaluate_runs(runs, scenes_with_truth(scenes), scenes, tmp_path, Choices(viewers=[Page(budget=2000)]))
     visit = Visit(browser, tmp_path / "report.html")
-    number = number_of(visit, "plain")
-    visit.page.evaluate(f"location.hash = '#scene-{number}/1'")
-    visit.ready(number)
+    visit.show("plain")
     visit.point(31, 17)
     assert visit.reading()[0].startswith("x 31, y 17 ")
     assert "of their size" not in visit.page.locator("#legend").inner_text()
     visit.close()
     shutil.rmtree(tmp_path / "assets")
     visit = Visit(browser, tmp_path / "report.html")
-    visit.page.evaluate(f"location.hash = '#scene-{number}/1'")
-    visit.ready(number)
+    visit.show("plain")
     assert "of their size" in visit.page.locator("#legend").inner_text()
     assert all("ERR_FILE_NOT_FOUND" in line for line in visit.said)
     visit.said.clear()
@@ -212,8 +208,7 @@ def test_slices_are_stepped_through(browser: Any, volumes: Path):
     visit = Visit(browser, volumes / "report.html")
     data = json.loads(visit.page.locator("#data-0").text_content())
     names = [view["name"] for view in data["views"]]
-    visit.page.evaluate("location.hash = '#scene-0/1'")
-    visit.ready(0)
+    visit.show("pair_0")
     keys, where, start = visit.page.keyboard, visit.page.locator("#where"), data["start"]
 
     def shown(number: int) -> None:
@@ -229,10 +224,10 @@ def test_slices_are_stepped_through(browser: Any, volumes: Path):
     shown(0)
     keys.press("ArrowDown")  # the first one: there is nothing before it
     keys.press("v")
-    across = next(k for k, view in enumerate(data["views"]) if view["axis"] == 1)
-    count = sum(view["axis"] == 1 for view in data["views"])
-    shown(across + count // 2)
-    view = data["views"][across + count // 2]
+    across = [k for k, view in enumerate(data["views"]) if view["axis"] == 1]
+    middle = across[len(across) // 2]
+    shown(middle)
+    view = data["views"][middle]
     box = visit.page.locator("#stage canvas").first.bounding_box()
     visit.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     line, rows = visit.reading()
@@ -241,9 +236,8 @@ def test_slices_are_stepped_through(browser: Any, volumes: Path):
     column, row = (round((at - a[2]) / a[3]) for at, a in zip(places, view["axes"], strict=True))
     (run,) = view["runs"].values()
     assert float(rows[0][1]) == pytest.approx(unpack(run["values"])[row, column], abs=0.0051)
-    assert float(re.search(r"error ([\d.]+) mm", line)[1]) == pytest.approx(
-        unpack(view["truth"])[row, column], abs=0.0051
-    )
+    error = float(re.search(r"error ([\d.]+) mm", line)[1])
+    assert error == pytest.approx(unpack(view["truth"])[row, column], abs=0.0051)
     # Beneath a map lies the volume: all of it at no opacity, nothing at full.
     mixed = visit.color()
     visit.page.locator("#opacity").fill("0")

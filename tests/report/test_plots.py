@@ -40,19 +40,14 @@ def test_a_plot_is_well_formed_and_escapes():
     ElementTree.fromstring(plots._times(of_nothing, "bad"))  # no run has a mean
 
 
-def test_a_curve_plot_names_the_areas_of_six_curves_at_most():
+def test_a_plot_has_six_curves_at_most_the_best():
     rng = np.random.default_rng(0)
-    curves = {name: sparsification(rng.random(500), rng.random(500) < 0.2) for name in ("lrc", "pkr")}
-    svg = curve_plot(curves, "run: scene", "bad")
-    for name, curve in curves.items():
-        assert f"{name} {curve.auc:.4f}" in svg
-    assert f"optimal {curves['lrc'].optimal:.4f}" in svg and "error rate" in svg
     error, noise = np.linspace(0, 1, 200) ** 2, rng.normal(0, 1, 200)
     curves = {f"measure{k}": sparsification(-error - k * noise, error) for k in range(9)}
     svg = curve_plot(curves, "run: scene", "error")
     best = sorted(curves, key=lambda name: curves[name].auc)[:6]
     assert {name for name in curves if f"{name} " in svg} == set(best)
-    assert "the best 6 of 9" in svg and "mean absolute error" in svg
+    assert "the best 6 of 9" in svg
 
 
 def test_the_spread_over_scenes_begins_at_zero():

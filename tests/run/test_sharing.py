@@ -35,12 +35,31 @@ def assert_same(output: Path, whole: Path) -> None:
     assert statuses(output) == statuses(whole)
 
 
-def talk(code: str, *words: Path) -> tuple[subprocess.Popen[str], str]:
-    """Start Python code that waits for a line each time it has written one; return its process, and its first line."""
-    command = [sys.executable, "-c", code, *words]
+_OTHER = """
+import pathlib, shutil, sys
+from depthcli.run.folder import FolderLock
+out, made, *names = sys.argv[1:]
+with FolderLock(pathlib.Path(out), print) as lock:
+    lock.share()
+    print(*map(lock.claim, names), flush=True)
+    sys.stdin.readline()
+    if pathlib.Path(made).is_dir():
+        shutil.copytree(made, pathlib.Path(out, names[0]))
+    lock.release(names[0])
+    print("released", flush=True)
+    sys.stdin.readline()
+"""
+
+
+def another(out: Path, made: Path, *names: str) -> tuple[subprocess.Popen[str], list[str]]:
+    """Start a process that claims scenes; return it, and which it got.
+
+    After a line it puts ``made``, if there, in the place of the first one and releases it; after another it ends.
+    """
+    command = [sys.executable, "-c", _OTHER, out, made, *names]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    return process, process.stdout.readline()
+    return process, process.stdout.readline().split()
 
 
 @pytest.mark.slow
@@ -76,26 +95,13 @@ def test_who_may_come_in(made_scenes: Path, tmp_path: Path, tool, monkeypatch):
     assert sorted(path.name for path in out.iterdir()) == left
 
 
-_CLAIMS = """
-import pathlib, sys
-from depthcli.run.folder import FolderLock
-with FolderLock(pathlib.Path(sys.argv[1]), print) as lock:
-    lock.share()
-    print(*(lock.claim(name) for name in ("a", "b", "c")), flush=True)
-    input()
-    lock.release("a")
-    print("released", flush=True)
-    input()
-"""
-
-
 def test_a_scene_is_claimed_by_one(tmp_path: Path):
     """Two processes, since these locks are a process's."""
     with FolderLock(tmp_path / "run", print) as lock:
         lock.share()
         assert lock.claim("b")
-        other, claimed = talk(_CLAIMS, tmp_path / "run")
-        assert claimed.split() == ["True", "False", "True"]
+        other, claimed = another(tmp_path / "run", tmp_path / "nothing", "a", "b", "c")
+        assert claimed == ["True", "False", "True"]
         assert not lock.claim("a") and not lock.last()
         other.stdin.write("\n")
         other.stdin.flush()
@@ -104,20 +110,6 @@ def test_a_scene_is_claimed_by_one(tmp_path: Path):
         other.kill()
         other.communicate()
         assert lock.claim("c") and lock.last()
-
-
-_COMPUTES_A_SCENE = """
-import pathlib, shutil, sys
-from depthcli.run.folder import FolderLock
-out, made = map(pathlib.Path, sys.argv[1:])
-with FolderLock(out, print) as lock:
-    lock.share()
-    print(lock.claim("planes_0"), flush=True)
-    input()
-    if made.is_dir():
-        shutil.copytree(made, out / "planes_0")
-        lock.release("planes_0")
-"""
 
 
 @pytest.mark.slow
@@ -130,8 +122,8 @@ def test_the_process_that_ends_last_evaluates_all_scenes(made_scenes: Path, whol
 
     def runs_beside_another(made: Path, ends_before: bool) -> int:
         shutil.rmtree(out / "planes_1", ignore_errors=True)
-        other, claimed = talk(_COMPUTES_A_SCENE, out, made)
-        assert claimed.strip() == "True"
+        other, claimed = another(out, made, "planes_0")
+        assert claimed == ["True"]
 
         def computed(*task: Any) -> Any:
             if ends_before:
