@@ -71,24 +71,21 @@ def test_costs_of_grey_images(height, width, disparities, name, fields, dtype):
     np.testing.assert_allclose(volume.costs / volume.scale, expected, atol=ROUNDING[name])
 
 
-@sizes
-@in_color
-def test_intensity_gradient(height, width, disparities, color):
-    pair, measure = random_pair(height, width, color), cost("intensity_gradient", outside=7)
-    expected = naive.intensity_gradient(pair.color8, pair.grey8, disparities, 7)
-    np.testing.assert_allclose(measure(pair, disparities).costs, expected, rtol=1e-6)
+CHAPTER_3 = [
+    {"outside": "border", "filter": filter, "channels": channels, "limits": limits}
+    for filter in ("sobel", "dog") for channels in ("grey", "color") for limits in (None, (40, 25))
+]  # fmt: skip
 
 
 @sizes
-@pytest.mark.parametrize("filter", ["sobel", "dog"])
-@pytest.mark.parametrize("channels", ["grey", "color"])
-@pytest.mark.parametrize("limits", [None, (40, 25)])
-def test_intensity_gradient_as_chapter_3_has_it(height, width, disparities, filter, channels, limits):
-    pair = random_pair(height, width, True)
-    measure = cost("intensity_gradient", filter=filter, channels=channels, limits=limits, outside="border")
-    greys = pair.grey8 if channels == "grey" else pair.color8
-    expected = naive.intensity_gradient(pair.color8, greys, disparities, "border", filter, limits)
-    np.testing.assert_allclose(measure(pair, disparities).costs, expected, rtol=1e-4, atol=1e-3)
+@pytest.mark.parametrize(("fields", "color", "rtol", "atol"), [
+    ({"outside": 7}, False, 1e-6, 0), ({"outside": 7}, True, 1e-6, 0), *((each, True, 1e-4, 1e-3) for each in CHAPTER_3)
+])  # fmt: skip
+def test_intensity_gradient(height, width, disparities, fields, color, rtol, atol):
+    pair, measure = random_pair(height, width, color), cost("intensity_gradient", **fields)
+    greys, rule = pair.grey8 if measure.channels == "grey" else pair.color8, (measure.filter, measure.limits)
+    expected = naive.intensity_gradient(pair.color8, greys, disparities, measure.outside, *rule)
+    np.testing.assert_allclose(measure(pair, disparities).costs, expected, rtol=rtol, atol=atol)
 
 
 @sizes
