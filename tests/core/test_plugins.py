@@ -22,6 +22,7 @@ from depthcli.evaluation import protocols
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_disparity, read_pfm, read_plane
 from depthcli.problems.stereo import StereoConfig
+from tests.command_line import rows
 from tests.files import laid
 from tests.golden import refused
 
@@ -388,8 +389,7 @@ def test_faults_of_a_cost_are_the_plugin_s(
     (tmp_path / "bad.py").write_text(BAD.format(name.title().replace("_", ""), wrong))
     run = [*(word.format(name) for word in command), "--plugin", str(tmp_path / "bad.py")]
     assert main([*run, "-i", str(scenes), "-o", str(tmp_path / "run"), "-q"]) == 3
-    rows = json.loads((tmp_path / "run" / "report.json").read_text())["scenes"]
-    for row in rows:
+    for row in rows(tmp_path / "run").values():
         assert row["status"] == "failed" and all(word in row["error"] for word in words), row["error"]
         assert "a bug in" not in row["error"]
 

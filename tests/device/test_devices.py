@@ -67,13 +67,9 @@ GPU = DeviceInfo("opencl:1", "a card", 1 << 33, True, "somebody's")
 SLOW = DeviceInfo("opencl:0", "a processor", 1 << 34, False, "somebody else's")
 
 
-@pytest.fixture
-def two_devices(monkeypatch):
+def test_what_names_mean(monkeypatch):
     monkeypatch.setattr(depthcli.device.opencl, "find_devices", lambda: ([SLOW, GPU], ""))
     monkeypatch.setattr(depthcli.device.cuda, "find_devices", lambda: ([], "nothing there"))
-
-
-def test_what_names_mean(two_devices, monkeypatch):
     assert find_device("cpu") is None
     assert find_device("auto") == GPU
     assert find_device("opencl") == GPU
