@@ -161,7 +161,7 @@ def test_one_channel_of_values_of_an_exr(tmp_path: Path, dtype, names):
     assert not lines and image_size(path) == (5, 7)
 
 
-def test_the_channels_that_are_left_out_are_named_and_guesses_refused(tmp_path: Path):
+def test_the_channels_that_are_left_out_are_named_and_guesses_refused(tmp_path: Path, monkeypatch):
     path = exr(tmp_path, R=VALUES, G=VALUES + 1, B=VALUES + 2, Z=VALUES + 3)
     found, lines = warned(read_plane, path)
     np.testing.assert_array_equal(found, VALUES + 3)
@@ -174,9 +174,6 @@ def test_the_channels_that_are_left_out_are_named_and_guesses_refused(tmp_path: 
     refused(InputError, read_plane, path)
     path.write_bytes(path.read_bytes()[:200])
     refused(InputError, read_plane, path)
-
-
-def test_without_the_library_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    path = exr(tmp_path, Z=VALUES)
+    path = exr(tmp_path, Z=VALUES)  # without the library the extra is named
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
     refused(InputError, read_plane, path)
