@@ -66,9 +66,8 @@ def test_a_range_that_nothing_gives_is_that_of_the_pair_with_a_warning(two_scene
     for row in rows(tmp_path / "r").values():
         assert f" {row['max_disparity']} " in said and row["range_top"] == row["max_disparity"]
     assert "search range" not in tool.err(0, *line, tmp_path / "auto", "--max-disparity", "auto")
-    for name in ("planes_0", "foreground_0"):
-        one, other = ((tmp_path / folder / name / "disp_left.pfm").read_bytes() for folder in ("r", "auto"))
-        assert one == other
+    for file in ("planes_0/disp_left.pfm", "foreground_0/disp_left.pfm"):
+        assert (tmp_path / "r" / file).read_bytes() == (tmp_path / "auto" / file).read_bytes()
     laid(scenes / "planes_0", dict.fromkeys(("left.png", "right.png"), np.zeros((48, 64), np.uint8)))  # nothing there
     tool.told(3, *line, tmp_path / "r")
 
@@ -180,16 +179,15 @@ def test_a_scene_that_would_not_fit_fails_before_it_starts(made_scenes, tmp_path
     tool.told(3, *command, tmp_path / "s", "--set", "tiles=never")
 
 
-@pytest.mark.parametrize(
-    ("error", "code", "said"), [(ZeroDivisionError, 1, "this is a bug"), (KeyboardInterrupt, 130, "interrupted")]
-)
-def test_a_bug_and_ctrl_c_have_their_exit_codes(error, code: int, said: str, monkeypatch, tool, tmp_path: Path):
+@pytest.mark.parametrize(("error", "code"), [(ZeroDivisionError, 1), (KeyboardInterrupt, 130)])
+def test_a_bug_and_ctrl_c_have_their_exit_codes(error, code: int, monkeypatch, tool, tmp_path: Path):
     def fail(*_: object) -> None:
         raise error
 
     monkeypatch.setattr("depthcli.core.config_file.find_config", fail)
     err = tool.err(code, "stereo", FAST, "-i", tmp_path, "-o", tmp_path / "x")
-    assert said in err and ("ZeroDivisionError" in err) == (code == 1)
+    assert ("this is a bug" in err) == ("ZeroDivisionError" in err) == (code == 1)
+    assert ("interrupted" in err) == (code == 130)
 
 
 def test_help_imports_nothing_heavy():
@@ -263,9 +261,7 @@ def test_without_a_command_the_help_is_shown(tool):
     ("sweep consensus --command fuse --set meas", {"measures="}, {"cost="}),
     ("stereo no-such-preset --set cost", set(), {"cost="}),
 ])  # fmt: skip
-def test_shells_complete_names_and_keys(
-    words: str, completed: set[str], not_completed: set[str], monkeypatch: pytest.MonkeyPatch, capsys
-):
+def test_shells_complete_names_and_keys(words: str, completed: set[str], not_completed: set[str], monkeypatch, capsys):
     monkeypatch.setenv("COMP_WORDS", f"depthcli {words}")
     monkeypatch.setenv("COMP_CWORD", str(len(words.split())))
     monkeypatch.setenv("_DEPTHCLI_COMPLETE", "complete_bash")
@@ -274,8 +270,7 @@ def test_shells_complete_names_and_keys(
     for module in list(plugins.loaded):
         plugins.forget(module)
     out, err = capsys.readouterr()
-    assert completed <= set(out.split()) and not not_completed & set(out.split())
-    assert err == ""
+    assert completed <= set(out.split()) and not not_completed & set(out.split()) and err == ""
 
 
 def test_sizes_have_units_of_1000_or_of_1024():

@@ -153,22 +153,24 @@ def test_what_is_wrong_with_one_scene_fails_alone(two_scenes: Path, maps: Path, 
         tool.told(3, *words, tmp_path / case)
         assert (tmp_path / case / NAMES[1] / "probability.pfm").is_file()
         assert [path.name for path in (tmp_path / case / NAMES[0]).iterdir()] == ["record.json"]
-
-
-def test_a_folder_that_cannot_be_used_fails_alone(two_scenes: Path, maps: Path, tmp_path: Path, tool):
     folder = shutil.copytree(two_scenes, tmp_path / "scenes")
-    shutil.copy(folder / NAMES[0] / "left.png", folder / NAMES[0] / "left.jpg")
+    shutil.copy(folder / NAMES[0] / "left.png", folder / NAMES[0] / "left.jpg")  # a folder that cannot be used
     words = ("confidence", "-i", folder, "--maps", maps, "-o", tmp_path / "out")
     tool.told(3, *words, "--evaluate")
     assert (tmp_path / "out" / NAMES[1] / "probability.pfm").is_file()
     tool.told(2, *words, "--pattern", "other={scene}.pfm")  # of no run
 
 
-def test_names_of_kept_files_and_a_single_pair(two_scenes: Path, maps: Path, tmp_path: Path):
+def test_a_single_pair_and_a_scene_without_a_right_image(two_scenes: Path, maps: Path, tmp_path: Path):
     folder = two_scenes / NAMES[0]
     words = ("--left", folder / "left.png", "--right", folder / "right.png", "--maps", maps / f"{NAMES[0]}.pfm")
     assert run("confidence", *words, "-o", tmp_path / "one", "-q", "--keep", "probability.pfm") == 0
     assert {path.name for path in (tmp_path / "one").glob("*/*")} == {"probability.pfm", "record.json"}
+    shutil.copytree(two_scenes, tmp_path / "in", ignore=shutil.ignore_patterns("right*", NAMES[1], "mask*"))
+    words = ("-i", tmp_path / "in", "--maps", maps, "-q", "-o")
+    assert run("confidence", *words, tmp_path / "out") == 0
+    assert (tmp_path / "out" / NAMES[0] / "probability.pfm").is_file()
+    assert run("fuse", "maps", *words, tmp_path / "fused") == 3
 
 
 def test_witnesses_right_maps_and_evaluation(two_scenes: Path, maps: Path, tmp_path: Path, tool):
@@ -187,14 +189,6 @@ def test_witnesses_right_maps_and_evaluation(two_scenes: Path, maps: Path, tmp_p
     (rights / NAMES[0] / "disp_right.pfm").unlink()
     write_pfm(rights / NAMES[1] / "disp_right.pfm", np.ones((64, 80), np.float32))
     tool.told(3, *words, tmp_path / "y", "--right-maps", rights)
-
-
-def test_a_scene_without_a_right_image(two_scenes: Path, maps: Path, tmp_path: Path):
-    shutil.copytree(two_scenes, tmp_path / "in", ignore=shutil.ignore_patterns("right*", NAMES[1], "mask*"))
-    words = ("-i", tmp_path / "in", "--maps", maps, "-q", "-o")
-    assert run("confidence", *words, tmp_path / "out") == 0
-    assert (tmp_path / "out" / NAMES[0] / "probability.pfm").is_file()
-    assert run("fuse", "maps", *words, tmp_path / "fused") == 3
 
 
 def test_python_speaks_of_keywords():
