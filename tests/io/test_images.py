@@ -257,7 +257,7 @@ def test_single_bits_differ_clearly_and_combinations_at_all(palette, flag):
     assert len({tuple(status_colors(palette)[value]) for value in occurring}) >= len(occurring) - 2
 
 
-def test_words(tmp_path: Path):
+def test_words_of_codes(tmp_path: Path):
     assert status_words(0, STATUS_PALETTE) == "measured"
     assert status_words(Status.OCCLUDED | Status.FILLED, STATUS_PALETTE) == "occluded, filled"
     assert status_words(128, STATUS_PALETTE) == "128"

@@ -29,6 +29,7 @@ from depthcli.io.formats.disparity import (
 from depthcli.io.formats.images import image_size, read_image, write_png
 from depthcli.io.rgbd_frames import kinect_v1, read_kinect_raw
 from depthcli.problems.inputs import as_depth, as_image, as_map, as_volume
+from tests.files import laid
 from tests.golden import refused, warned
 from tests.scenes import DATA, needs_data
 
@@ -116,14 +117,10 @@ def test_codes_are_divided_by_their_scale(tmp_path: Path):
     for known in (path, tmp_path / "disp_0" / "a.png"):
         write_png(known, codes)
         np.testing.assert_array_equal(read_foreign_map(known, is_kitti=known == path), [[np.nan, 1, 2.5]])
-
-
-def test_integers_without_a_usual_scale_are_asked_for(tmp_path: Path):
-    for dtype in ("i4", "u4", "i8", "u1", "i1", "?"):
+    for dtype in ("i4", "u4", "i8", "u1", "i1", "?"):  # without a usual scale
         np.save(tmp_path / "a.npy", np.full((4, 5), 3).astype(dtype))
         refused(InputError, read_disparity, tmp_path / "a.npy")
-        if dtype != "?":
-            assert (read_disparity(tmp_path / "a.npy", 1) == 3).all()
+        assert dtype == "?" or (read_disparity(tmp_path / "a.npy", 1) == 3).all()
 
 
 @pytest.mark.parametrize(("name", "write"), [("a.npy", np.save), ("a.tif", tifffile.imwrite)])
@@ -224,7 +221,7 @@ def test_npy_and_npz(tmp_path: Path):
         assert len(lines) == 1 and f"{name}: " in lines[0] and said in lines[0]
 
 
-def test_codes_of_depth_are_divided_by_their_scale(tmp_path: Path):
+def test_codes_and_meters_of_depth(tmp_path: Path):
     path, codes = tmp_path / "depth.png", np.array([[0, 1, 1500, 65534]], np.uint16)
     write_png(path, codes)
     np.testing.assert_array_equal(read_depth(path), np.array([[np.nan, 0.001, 1.5, 65.534]], np.float32))
@@ -234,6 +231,12 @@ def test_codes_of_depth_are_divided_by_their_scale(tmp_path: Path):
     write_png(path, np.array([[0, 100]], np.uint8))
     np.testing.assert_array_equal(read_depth(path, 50), [[np.nan, 2]])
     refused(InputError, read_depth, path)
+    values = np.array([[1.25, np.nan, np.inf, 0, -1]], np.float32)
+    wanted = np.where(values == 1.25, values, np.float32(np.nan))
+    laid(tmp_path, {"a.pfm": values, "a.npy": values.astype(np.float64)})  # meters
+    for name in ("a.pfm", "a.npy"):
+        np.testing.assert_array_equal(read_depth(tmp_path / name), wanted)
+        np.testing.assert_array_equal(read_depth(tmp_path / name, 1000), wanted / 1000)
     for bad in (np.array([[-1]]), np.array([[70000]]), np.array([[1.5]])):
         np.save(tmp_path / "bad.npy", bad)
         refused(InputError, read_kinect_raw, tmp_path / "bad.npy")
@@ -251,16 +254,6 @@ def test_depths_that_no_such_sensor_sees_have_a_hint():
     text = implausible_depth("d.png", depth, 1000, SENSOR)
     assert "5 % are beyond 15 m, at 1000 codes per meter; a depth scale of 5000 would fit" in text
     assert implausible_depth("d.png", depth, 1000) == ""
-
-
-def test_meters(tmp_path: Path):
-    values = np.array([[1.25, np.nan, np.inf, 0, -1]], np.float32)
-    wanted = np.array([[1.25] + [np.nan] * 4], np.float32)
-    write_pfm(tmp_path / "a.pfm", values)
-    np.save(tmp_path / "a.npy", values.astype(np.float64))
-    for name in ("a.pfm", "a.npy"):
-        np.testing.assert_array_equal(read_depth(tmp_path / name), wanted)
-        np.testing.assert_array_equal(read_depth(tmp_path / name, 1000), wanted / 1000)
 
 
 def test_png_round_trip(tmp_path: Path):

@@ -9,13 +9,13 @@ import pytest
 import depthcli
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import read_mask
-from depthcli.io.rgbd_frames import load_masked_frame, true_depth
+from depthcli.io.rgbd_frames import load_masked_frame
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.frames import FRAMES
 from depthcli.io.scenes.pairs import PAIRS
-from depthcli.io.stereo_pairs import true_disparity
 from tests.files import laid
 from tests.golden import refused, saying, warned
+from tests.scenes import true
 
 INSIDE = np.zeros((24, 32), bool)
 INSIDE[6:18, 8:24] = True
@@ -38,8 +38,8 @@ def test_any_largest_value(tmp_path: Path, top: int):
     found, lines = warned(read_mask, tmp_path / "a/mask_transparent.png")
     assert not lines
     (pair,) = discover_scenes(laid(tmp_path / "s", VIEWS | {"mask_nonocc.png": mask}), PAIRS)
-    of_pair = true_disparity(pair).masks["nonocc"]
-    for read in (found, load_masked_frame(scene).objects, true_depth(scene).masks["transparent"], of_pair):
+    of_truth = true(scene).masks["transparent"], true(pair).masks["nonocc"]
+    for read in (found, load_masked_frame(scene).objects, *of_truth):
         np.testing.assert_array_equal(read, INSIDE)
 
 
@@ -58,7 +58,7 @@ def test_an_empty_mask_fails_the_glass_and_is_said_in_evaluation(tmp_path: Path)
     scene = frame(tmp_path / "a", np.zeros(INSIDE.shape, np.uint8))
     refused(InputError, load_masked_frame, scene)
     refused(InputError, load_masked_frame, frame(tmp_path / "full", np.full(INSIDE.shape, 255, np.uint8)))
-    _, lines = warned(true_depth, scene)
+    _, lines = warned(true, scene)
     assert "mask_transparent.png: no pixel is inside" in lines[0]
     with saying(InputError):
         depthcli.complete_transparent(np.zeros((24, 32, 3), np.uint8), DEPTH, objects=np.zeros((24, 32), bool))

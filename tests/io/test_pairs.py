@@ -69,7 +69,7 @@ def test_names_that_say_the_view(tmp_path: Path):
     assert named(tmp_path / "x", tmp_path / "y")["2"] == "- 2.png"  # no pair is made up
 
 
-def test_tables(tmp_path: Path):
+def test_tables(tmp_path: Path, monkeypatch):
     table = tmp_path / "pairs.csv"
     table.write_text("# our pairs\na.png,b.png\nsub dir/b.png , c.png\n")
     pairs = [(p.name, p.left, p.right) for p in scenes_of_table(table)]
@@ -91,6 +91,10 @@ def test_tables(tmp_path: Path):
     ):  # fmt: skip
         table.write_text(text)
         refused(InputError, scenes_of_table, table)
+    text = b"left\tright\tname\na.png\tb.png\tfirst\nc.png\td.png\tsecond\n"
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text)))
+    pairs = [(p.name, p.left, p.right) for p in scenes_of_table(Path("-"))]
+    assert pairs == [("first", Path("a.png"), Path("b.png")), ("second", Path("c.png"), Path("d.png"))]
 
 
 def video(path: Path, shift: int, count: int = 5, rate: float = 10) -> Path:
@@ -246,14 +250,6 @@ def test_the_command_line(tmp_path: Path, made_scenes: Path, tool):
         assert run(*stereo, "-i", given, *how, tmp_path / "x", "--evaluate") == 2
     assert run(*stereo, "-i", table, *how, "-") == 2
     assert run("refine-kinect", "nearest", "-i", table, "-o", tmp_path / "x") == 2
-
-
-def test_a_table_from_the_standard_input(monkeypatch):
-    text = b"left\tright\tname\na.png\tb.png\tfirst\nc.png\td.png\tsecond\n"
-    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text)))
-    first, second = scenes_of_table(Path("-"))
-    assert (first.name, first.left, first.right) == ("first", Path("a.png"), Path("b.png"))
-    assert second.name == "second"
 
 
 def test_patterns_are_suggested_where_no_layout_fits(tmp_path: Path, tool) -> None:
