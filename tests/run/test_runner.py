@@ -10,7 +10,7 @@ import shutil
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,12 +51,12 @@ class Text(Scene):
         return self.file.read_text()
 
 
-WRONG: dict[str, BaseException] = {
-    "damaged": InputError("cannot be read"),
-    "bug": KeyError("no such thing"),
-    "quota": OSError(errno.EDQUOT, os.strerror(errno.EDQUOT), "/tmp/scratch/file"),
-    "huge": MemoryError(),
-    "stop": KeyboardInterrupt(),
+WRONG: dict[str, Callable[[], BaseException]] = {
+    "damaged": lambda: InputError("cannot be read"),
+    "bug": lambda: KeyError("no such thing"),
+    "quota": lambda: OSError(errno.EDQUOT, os.strerror(errno.EDQUOT), "/tmp/scratch/file"),
+    "huge": MemoryError,
+    "stop": KeyboardInterrupt,
 }
 
 
@@ -76,7 +76,7 @@ class Repeat(Job[Text]):
                 log.write(scene.name + "\n")
         (folder / "first.txt").write_text(text)
         if text in WRONG:
-            raise WRONG[text]
+            raise WRONG[text]()
         if text == "replaces":  # the files of this scene and of the next one, as somebody else might
             for name in "ab":
                 Path(f"{scene.file}.new").write_text("new")
