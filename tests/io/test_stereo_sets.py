@@ -125,9 +125,7 @@ def test_driving_stereo(tmp_path: Path):
     geometry = read_geometry(calib, Reading(cameras=scene.cameras))
     assert (geometry.left.fx, geometry.baseline) == (1003.5, pytest.approx(546.9 / 1003.5))
     check_layout("driving-stereo", tmp_path)
-
-
-def test_full_size_frames_of_driving_stereo_have_another_scale(tmp_path: Path):
+    # Frames of the full size have another scale.
     name = "2018-10-31-06-55-01_2018-10-31-07-35-30-878.png"
     for size, scale in (("half", 256), ("full", 128)):
         pair(tmp_path / "cloudy", f"{{}}-image-{size}-size/{name}")
