@@ -94,10 +94,14 @@ def test_wilcoxon_counts_the_signs_that_are_at_least_so_uneven(differences: tupl
     assert test.rank_difference == pytest.approx(np.dot(np.sign(differences), ranked) / ranked.sum())
 
 
-def test_holm():
+def test_holm_corrects_all_pairs_together():
     assert holm([0.01, 0.04, 0.03, math.nan]) == pytest.approx([0.03, 0.06, 0.06, math.nan], nan_ok=True)
     assert holm([0.9, 0.8]) == [1.0, 1.0]
     assert (smallest_p(4, 1), smallest_p(4, 2), smallest_p(6, 1), smallest_p(1, 3)) == (0.125, 0.25, 0.03125, 1.0)
+    pairs = compare_all({name: [v + k + k * v / 99 for v in NINE] for k, name in enumerate("abc")})
+    assert [pair[:2] for pair in pairs] == [("a", "b"), ("a", "c"), ("b", "c")]
+    assert [test.losses for _, _, test, _ in pairs] == [9, 9, 9]
+    assert [p for *_, p in pairs] == holm([test.p_value for _, _, test, _ in pairs])
 
 
 @pytest.mark.parametrize(("others", "said", "words"), [
@@ -123,14 +127,6 @@ def test_the_verdict_follows_the_rank_beside_it():
     assert [Ranking("ab", worse, {"a": 1.2, "b": 1.8}).word(run) for run in "ab"] == ["best", "worse"]
     ranking = Ranking("ab", worse, {"a": 1.8, "b": 1.2})
     assert [ranking.word(run) for run in "ab"] == ["best figure", "better in most"]
-
-
-def test_all_pairs_are_corrected_together():
-    scores = {name: [v + k + k * v / 99 for v in NINE] for k, name in enumerate("abc")}
-    pairs = compare_all(scores)
-    assert [pair[:2] for pair in pairs] == [("a", "b"), ("a", "c"), ("b", "c")]
-    assert [test.losses for _, _, test, _ in pairs] == [9, 9, 9]
-    assert [p for *_, p in pairs] == holm([test.p_value for _, _, test, _ in pairs])
 
 
 @pytest.mark.parametrize(("scenes", "runs", "enough"), [(4, 1, 6), (1, 1, 6), (6, 2, 7), (6, 9, 9)])

@@ -106,14 +106,12 @@ def test_intrinsics_of_another_size_are_warned_of(tmp_path: Path, key: str, cent
         return any(f"{key}: the principal point" in line for line in row["warnings"] or [])
 
     assert said("-i", tmp_path / "in") is is_said
-    camera = f"60,60,{center[0]},{center[1]}"
-    option = ["--intrinsics", camera] if key == "intrinsics" else ["--depth-intrinsics", camera]
-    option += [] if key == "intrinsics" else ["--intrinsics", "60,60,29.5,19.5"]
-    (tmp_path / "in/a/meta.json").unlink()
-    assert said("-i", tmp_path / "in", *option) is is_said
-    if key == "intrinsics":
-        assert said("--depth", tmp_path / "in/a/depth.png", *option) is is_said
     fields = {name: tuple(value.values()) for name, value in cameras.items()}
+    options = [f"--{name.replace('_', '-')}={','.join(map(str, values))}" for name, values in fields.items()]
+    (tmp_path / "in/a/meta.json").unlink()
+    assert said("-i", tmp_path / "in", *options) is is_said
+    if key == "intrinsics":
+        assert said("--depth", tmp_path / "in/a/depth.png", *options) is is_said
     result = depthcli.refine_depth(color, depth, preset="nearest", **fields)
     assert is_said is any(f"{key}: the principal point" in line for line in result.warnings)
     assert is_said is bool(warned(result.to_points, intrinsics=(60, 60, *center))[1])
