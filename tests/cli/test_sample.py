@@ -9,12 +9,10 @@ from skimage.data import stereo_motorcycle
 
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.images import read_image
-from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.simulate import samples
-from depthcli.simulate.deformed_volumes import make_deformed_pair
 from depthcli.simulate.stereo_scenes import Radiometry, make_scene
 from tests.command_line import contents, run
 from tests.scenes import load, true
@@ -88,9 +86,3 @@ def test_cross_modal_keeps_the_truth(tmp_path: Path, tool):
     assert after.max_disparity == 10 and load(after).right.ndim == 2
     for folder, source in ((given, given), (tmp_path / "x", tmp_path / "missing")):
         assert run(*line, "-o", folder, "--from", source) == 2
-
-
-def test_true_errors_of_volumes_are_in_mm(made_volumes: Path):
-    error, fixed = (read_volume(made_volumes / "pair_0" / f"{name}.nii.gz") for name in ("error_true", "fixed"))
-    residual = make_deformed_pair(0, error.values.shape, 3.0).residual
-    np.testing.assert_allclose(error.values, np.linalg.norm(residual * fixed.grid.spacing, axis=-1), rtol=1e-4)
