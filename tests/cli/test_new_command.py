@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.io.formats.disparity import read_pfm, write_pfm
-from depthcli.io.formats.images import write_png
+from depthcli.io.formats.disparity import read_pfm
 from depthcli.testing.inputs import shifted_pair
 from tests.command_line import ended
+from tests.files import laid
 
 ROOT = Path(__file__).parents[2]
 CACHES = shutil.ignore_patterns("__pycache__")
@@ -46,17 +46,14 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(ROOT / "pyproject.toml", root)
     shutil.copytree(Path(__file__).parent / "new_files", root / "depthcli", dirs_exist_ok=True, ignore=CACHES)
     shutil.copy(TEMPLATE / "command.py", root / "depthcli" / "commands" / "constant.py")
-    (root / "two.yaml").write_text(LAYOUT)
     shutil.copytree(TEMPLATE / "presets" / "constant", root / "configs" / "constant")
     page = (ROOT / "docs" / "extend.md").read_text("utf-8")
     (cost,) = re.findall(r"^```python file=squared.py\n(.*?)^```$", page, re.M | re.S)
-    (root / "depthcli" / "methods" / "stereo" / "cost" / "squared_difference.py").write_text(cost)
-    (root / "squared.yaml").write_text(SQUARED)
+    own = "depthcli/methods/stereo/cost/squared_difference.py"
+    laid(root, {"two.yaml": LAYOUT, "squared.yaml": SQUARED, own: cost})
     for name, shift in (("near", 9), ("far", 5)):
-        pair = shifted_pair(48, 64, shift)
-        write_pfm(root / "in" / name / "first_truth.pfm", np.full((48, 64), shift, np.float32))
-        write_png(root / "in" / name / "first.png", pair.left)
-        write_png(root / "in" / name / "second.png", pair.right)
+        pair, truth = shifted_pair(48, 64, shift), np.full((48, 64), shift, np.float32)
+        laid(root / "in" / name, {"first.png": pair.left, "second.png": pair.right, "first_truth.pfm": truth})
     return root
 
 
