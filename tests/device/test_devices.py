@@ -2,6 +2,7 @@
 
 import importlib.resources
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import MagicMock
@@ -11,7 +12,6 @@ import pytest
 
 import depthcli.device.cuda
 import depthcli.device.opencl
-from depthcli.cli import main
 from depthcli.core.errors import ConfigError
 from depthcli.device import DeviceError, DeviceInfo, Kernels, Launch, find_device, open_device
 from depthcli.device.cuda import OPTIONS
@@ -91,40 +91,28 @@ def test_without_a_device_its_reason_is_told_before_anything_is_written(tool, tm
     assert out == "" and "opencl: no driver; cuda: no driver" in err
 
 
-@pytest.fixture
-def small_device(monkeypatch):
-    """Stands for a card of 1 MiB; what runs on it fails like a driver."""
+class Small:
+    """Stands for a card; what runs on it fails like a driver."""
 
-    class Small:
-        info = DeviceInfo("opencl:1", "a small card", 1 << 20, True, "somebody's")
+    info = DeviceInfo("opencl:1", "a card", 1 << 20, True, "somebody's")
 
-        def __getattr__(self, name):
-            raise DeviceError(f"{self.info.address} ({self.info.name}) failed: the driver is gone")
+    def __getattr__(self, name):
+        raise DeviceError(f"{self.info.address} ({self.info.name}) failed: the driver is gone")
 
+
+def test_what_a_device_costs_a_scene(tmp_path, tool, made_scenes, monkeypatch):
     device = Small()
     monkeypatch.setattr(depthcli.device, "find_device", lambda wanted: device.info)
     monkeypatch.setattr(depthcli.device, "open_device", lambda wanted: device)
-    return device
-
-
-@pytest.mark.parametrize(("memory", "messages"), [
-    (1 << 20, ("planes_0: needs about", "on opencl:1 (a card), which has 1 MiB")),
-    (1 << 33, ("planes_0: opencl:1 (a card) failed: the driver is gone",)),
-])  # fmt: skip
-def test_too_little_memory_or_a_driver_that_fails_costs_the_scene(
-    tmp_path, tool, made_scenes, small_device, memory, messages
-):
-    small_device.info = DeviceInfo("opencl:1", "a card", memory, True, "somebody's")
-    scene = ["-i", str(made_scenes), "-o", str(tmp_path / "run"), "--scenes", "planes_0"]
-    said = tool.err(3, "stereo", "fast", *scene, "--device", "auto")
-    assert all(message in said for message in messages)
-    assert "device: opencl:1\n" in (tmp_path / "run" / "run.yaml").read_text()
-
-
-def test_a_pipeline_without_kernels_says_that_it_ran_on_the_processor(tmp_path, made_scenes, small_device):
-    scene = ["-i", str(made_scenes), "-o", str(tmp_path / "run"), "--scenes", "planes_0"]
-    assert main(["stereo", "opencv-bm", *scene, "--device", "auto", "-q"]) == 0
-    assert rows(tmp_path / "run")["planes_0"]["device"] == "cpu: opencv_bm has no kernels for opencl:1, a small card"
+    scene = ("-i", made_scenes, "--scenes", "planes_0", "--device", "auto", "-o")
+    said = tool.err(3, "stereo", "fast", *scene, tmp_path / "small")
+    assert "planes_0: needs about" in said and "on opencl:1 (a card), which has 1 MiB" in said
+    assert "device: opencl:1\n" in (tmp_path / "small" / "run.yaml").read_text()
+    device.info = replace(device.info, memory=1 << 33)
+    said = tool.err(3, "stereo", "fast", *scene, tmp_path / "failing")
+    assert "planes_0: opencl:1 (a card) failed: the driver is gone" in said
+    tool.err(0, "stereo", "opencv-bm", *scene, tmp_path / "none")
+    assert rows(tmp_path / "none")["planes_0"]["device"] == "cpu: opencv_bm has no kernels for opencl:1, a card"
 
 
 class Stored(np.ndarray):
