@@ -152,7 +152,7 @@ def forget() -> None:
     protocols.load.cache_clear()
 
 
-def test_classes_of_a_file_are_found_by_their_names(file: Path):
+def test_classes_of_a_file_are_found_by_their_names_and_named_in_mistakes(file: Path):
     load_plugin(str(file))
     load_plugin(str(file))  # again: nothing happens
     assert COSTS.names()[-1] == "wide_census"
@@ -166,10 +166,6 @@ def test_classes_of_a_file_are_found_by_their_names(file: Path):
     lacking = {package for package, registry in registries.items() if not registry.added}
     assert not [package for package in lacking if package.startswith("depthcli.")]
     assert versions_here([used]) == {"mine.py": used.version}
-
-
-def test_a_mistake_names_the_plugin_s_keys_and_methods(file: Path):
-    load_plugin(str(file))
     for text in ("cost: wide_censu", "cost: census\nconfidence: [pkrr]", "cost: {method: wide_census, windw: 3}"):
         refused(ConfigError, load_config, StereoConfig, parse_config(f"pipeline: local\n{text}\n", "x"))
 
@@ -227,13 +223,7 @@ def test_an_installed_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert len(versions) == 2 and {name for name, _ in versions} == {"strange_cost"}
 
 
-def test_a_broken_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tool):
-    install(tmp_path, monkeypatch, "strange-kit", "import nowhere_at_all\n")
-    tool.told(2, "--plugin", "strange_kit", "--help")
-    tool.told(2, "--plugin", "strange_kid", "--help")
-
-
-def test_presets_of_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tool):
+def test_presets_of_packages_and_broken_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tool):
     package = install(tmp_path, monkeypatch, "strange-kit", "")
     text = "# Another one.\npipeline: opencv_bm\n"
     names = ("stereo/fast", "stereo/Elas", "nowhere/odd")
@@ -249,6 +239,10 @@ def test_presets_of_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to
     assert "depthcli stereo Elas ..." in tool.out(0, "presets", "show", "stereo/elas", *own)
     (package / "presets" / "stereo" / "Elas.yaml").write_bytes(b"# \xff\npipeline: local\n")
     tool.told(2, "presets", "show", "elas")
+    forget()
+    laid(package, {"module.py": "import nowhere_at_all\n"})
+    tool.told(2, *own, "--help")
+    tool.told(2, "--plugin", "strange_kid", "--help")
 
 
 @pytest.mark.slow
@@ -322,21 +316,19 @@ def test_a_config_names_its_plugins(file: Path, tmp_path: Path):
     refused(ConfigError, load_config, StereoConfig, tmp_path / "low.yaml")
 
 
-@pytest.mark.parametrize(("command", "text"), [
-    ("stereo", "pipeline: segments\ncost: census\nsegmentation: my_segments\n"),
-    ("stereo", "pipeline: segments\ncost: census\nkeypoints: my_keypoints\n"),
-    ("refine-kinect", "pipeline: my_fill\n"),
-    ("transparent", "pipeline: my_nearest\n"),
-    ("register-confidence", "features: [my_feature]\n"),
-    ("register-confidence", "pipeline: my_search\n"),
-    ("fuse", "measures: [census]\nmaps: {optimizations: [{optimization: scanline}], choice: my_choice}\n"),
-])  # fmt: skip
-def test_methods_of_every_command_are_configured(file: Path, command: str, text: str):
+def test_methods_of_every_command_are_configured(file: Path):
     load_plugin(str(file))
-    model = config_model(command)
-    assert model is not None
-    config = load_config(model, parse_config(text, "x"))
-    assert {plugin.package for plugin in used_plugins(config)} == {"mine.py"}
+    for command, text in (
+        ("stereo", "pipeline: segments\ncost: census\nsegmentation: my_segments\n"),
+        ("stereo", "pipeline: segments\ncost: census\nkeypoints: my_keypoints\n"),
+        ("refine-kinect", "pipeline: my_fill\n"),
+        ("transparent", "pipeline: my_nearest\n"),
+        ("register-confidence", "features: [my_feature]\n"),
+        ("register-confidence", "pipeline: my_search\n"),
+        ("fuse", "measures: [census]\nmaps: {optimizations: [{optimization: scanline}], choice: my_choice}\n"),
+    ):
+        config = load_config(config_model(command), parse_config(text, "x"))
+        assert {plugin.package for plugin in used_plugins(config)} == {"mine.py"}, text
 
 
 def test_a_file_of_a_family_holds_one_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
