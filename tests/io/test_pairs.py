@@ -219,9 +219,7 @@ def test_layouts_of_many_pairs_in_a_folder(tmp_path: Path):
     assert sorted(scenes) == ["00/000000", "00/000001", "01/000000"]
     assert (scenes["00/000001"].cameras, scenes["01/000000"].cameras) == ((0, 1), (2, 3))
     assert {scene.layout for scene in scenes.values()} == {"kitti-odometry"}
-
-
-def test_what_a_run_or_a_scene_holds_are_no_pairs(tmp_path: Path):
+    # What a scene or a run holds are no pairs.
     put(tmp_path / "a", *(f"{start}{view}.png" for start in ("", "mask_all_", "disp_") for view in ("left", "right")))
     assert [scene.layout for scene in find(tmp_path / "a").values()] == ["scenes"]
     put(tmp_path / "b", "disp_left.png", "disp_right.png")
