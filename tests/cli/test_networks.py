@@ -37,8 +37,7 @@ def scenes(tmp_path: Path) -> Path:
 
 def config(tmp_path: Path, **fields: object) -> Path:
     fields = {"pipeline": "onnx", "model": str(tmp_path / "net.onnx"), "max_disparity": 12, **fields}
-    (tmp_path / "net.yaml").write_text(yaml.safe_dump(fields), "utf-8")
-    return tmp_path / "net.yaml"
+    return laid(tmp_path, {"net.yaml": yaml.safe_dump(fields)}) / "net.yaml"
 
 
 @needs_onnx
@@ -64,8 +63,7 @@ def test_a_batch_in_workers_and_python_and_what_makes_it_run_again(scenes: Path,
 @needs_onnx
 def test_fuse_takes_networks_as_measures(scenes: Path, tmp_path: Path):
     network = {"method": "onnx", "model": str(local_features(tmp_path / "features.onnx")), "normalization": "0-1"}
-    file = tmp_path / "fuse.yaml"
-    file.write_text(yaml.safe_dump({"measures": ["census", network], "max_disparity": 12}), "utf-8")
+    file = fuse_config(tmp_path, measures=["census", network], max_disparity=12)
     assert run("fuse", file, "-i", scenes, "-o", tmp_path / "run", "-q") == 0
     assert np.mean(read_pfm(tmp_path / "run" / "a" / "disp_left.pfm")[:, 12:] == 5) > 0.98
     assert "model" in json.loads((tmp_path / "run" / "a" / "record.json").read_text())["inputs"]
@@ -117,8 +115,7 @@ def scene(tmp_path: Path) -> Path:
 
 def fuse_config(tmp_path: Path, **fields: object) -> Path:
     fields = {"measures": ["census", {"volume": "learned.npy"}], "max_disparity": 11, **fields}
-    (tmp_path / "fuse.yaml").write_text(yaml.safe_dump(fields), "utf-8")
-    return tmp_path / "fuse.yaml"
+    return laid(tmp_path, {"fuse.yaml": yaml.safe_dump(fields)}) / "fuse.yaml"
 
 
 def test_a_volume_from_the_scene_folder_and_confidence_maps(scene: Path, tmp_path: Path):

@@ -3,7 +3,6 @@
 import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -34,23 +33,19 @@ def line(run: Path, name: str, target: Path, *more: str) -> tuple[str | Path, ..
     return ("export", run, "--for", name, "--method", "OUR-1", "-o", target, "-q", *more)
 
 
-def export(*words: Any) -> int:
-    return run(*line(*words))
-
-
 def test_middlebury(tmp_path: Path):
     made, (a, b, c) = tmp_path / "run", (tmp_path / f"{name}.zip" for name in "abc")
     run_of(made, [*V3.scenes[TRAINING], *V3.scenes[TEST]], quarter)
-    assert export(made, "middlebury-v3", a) == 0
+    assert run(*line(made, "middlebury-v3", a)) == 0
     with zipfile.ZipFile(a) as archive:
         assert float(archive.read("testQ/Plants/timeOUR-1.txt")) == 1.25
         archive.extractall(tmp_path / "out")
     values = read_disparity(tmp_path / "out" / "trainingQ" / "Teddy" / "disp0OUR-1.pfm")
     assert np.all(values == 20 + V3.scenes[TRAINING].index("Teddy") / 256) and values.shape == (3, 450)
     # Only what was asked for; and the same bytes again.
-    assert export(made, "middlebury-v3", b, "--split", "training") == 0
+    assert run(*line(made, "middlebury-v3", b, "--split", "training")) == 0
     assert len(zipfile.ZipFile(b).namelist()) == 30
-    assert export(made, "middlebury-v3", c) == 0
+    assert run(*line(made, "middlebury-v3", c)) == 0
     assert a.read_bytes() == c.read_bytes()
 
 
@@ -71,20 +66,20 @@ def test_sparse_maps_are_named_so(tmp_path: Path):
     values[1, 1] = np.nan
     write_pfm(made / "testQ" / "Plants" / "disp_left.pfm", values)
     words = (made, "middlebury-v3", tmp_path / "a.zip")
-    assert export(*words) == 2
-    assert export(*words, "--sparse") == 0
+    assert run(*line(*words)) == 2
+    assert run(*line(*words, "--sparse")) == 0
     with zipfile.ZipFile(tmp_path / "a.zip") as archive:
         archive.extract(name, tmp_path)
     assert np.array_equal(read_disparity(tmp_path / name), values, equal_nan=True)
-    assert export(*words, "--sparse") == 2  # it is there
-    assert export(*words, "--sparse", "--overwrite") == 0
+    assert run(*line(*words, "--sparse")) == 2  # it is there
+    assert run(*line(*words, "--sparse", "--overwrite")) == 0
 
 
 @pytest.mark.parametrize(("name", "folder", "frames"), [("kitti-2012", "", 195), ("kitti-2015", "disp_0/", 200)])
 def test_kitti(tmp_path: Path, tool, name: str, folder: str, frames: int):
     scenes = BENCHMARKS[name].scenes[TEST]
     made = run_of(tmp_path / "run", scenes, lambda scene: 12)
-    assert export(made, name, tmp_path / "a.zip") == 0
+    assert run(*line(made, name, tmp_path / "a.zip")) == 0
     with zipfile.ZipFile(tmp_path / "a.zip") as archive:
         assert archive.namelist() == [f"{folder}{n:06d}_10.png" for n in range(frames)]
         (tmp_path / "7.png").write_bytes(archive.read(f"{folder}000007_10.png"))
@@ -107,7 +102,7 @@ def test_eth3d_and_maps_of_other_programs(tmp_path: Path, tool):
         write_pfm(made / f"{scene}.pfm", np.full((3, 30), 7, np.float32))
     err = tool.err(2, *line(made.parent, "eth3d", tmp_path / "a.zip"))
     assert "tunnel_1l: no run time" in err and "--seconds" in err
-    assert export(made.parent, "eth3d", tmp_path / "a.zip", "--seconds", "0.5") == 0
+    assert run(*line(made.parent, "eth3d", tmp_path / "a.zip", "--seconds", "0.5")) == 0
     with zipfile.ZipFile(tmp_path / "a.zip") as archive:
         assert len(archive.namelist()) == 40
         assert archive.read("low_res_two_view/sand_box_1l.txt") == b"runtime 0.5\n"
