@@ -98,6 +98,7 @@ def script(code: int | None, name: str | Path, *words: str | Path) -> subprocess
     return ended(code, sys.executable, ROOT / "scripts" / name, *words, cwd=ROOT, env=ENVIRONMENT)
 
 
+@pytest.mark.first
 @pytest.mark.system
 @pytest.mark.skipif(not DATA.is_dir(), reason="no data sets in ../shared/data")
 def test_the_page_on_the_thesis_is_up_to_date():
@@ -129,8 +130,8 @@ def test_chapters_of_the_thesis_s_page_change_alone_and_missing_data_are_a_line(
 
 
 def test_what_takes_minutes_starts_first(request: pytest.FixtureRequest):
-    names = [item.name for item in request.session.items]
-    assert "test_killed_runs_end_with_the_same_bytes" not in names[1:]
+    first = [item.get_closest_marker("first") is not None for item in request.session.items]
+    assert first == sorted(first, reverse=True)
 
 
 @pytest.mark.first
@@ -150,6 +151,7 @@ def test_it_runs_as_in_a_container():
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.first
 @pytest.mark.system
 @pytest.mark.parametrize(("device", "code"), [("cuda:77", 1), ("opencl", 0)])
 def test_a_gpu_is_measured_section_by_section(tmp_path: Path, device: str, code: int):
