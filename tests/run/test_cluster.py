@@ -108,9 +108,19 @@ def edited_copy(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.system
-def test_a_worker_of_other_code_that_joins_late_is_refused(cluster: Cluster, made_scenes: Path, tmp_path: Path):
+def test_workers_without_a_plug_in_and_a_late_one_of_other_code_are_refused(
+    cluster: Cluster, made_scenes: Path, tmp_path: Path
+):
     output = tmp_path / "run"
     command = ("stereo", PRESET, "-i", made_scenes, "-o", output, "--scheduler", cluster.address)
+    source = "from depthcli.methods.stereo.cost.census import Census\nclass Far(Census):\n    '''Far.'''\n"
+    metadata = "Metadata-Version: 2.1\nName: far-cost\nVersion: 1.2\n"
+    packages = laid(tmp_path / "far", {"far_cost.py": source, "far_cost-1.2.dist-info/METADATA": metadata})
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(packages), os.environ["PYTHONPATH"]])}
+    plugged = ("stereo", "fast", *command[2:], "--set", "cost=far", "--plugin", "far_cost")
+    done = ended(2, sys.executable, "-m", "depthcli", *plugged, env=environment)
+    assert "not its plug-ins" in done.stderr
+
     for worker in cluster.workers:  # nobody is there when the run begins
         worker.kill()
         worker.wait()
@@ -137,17 +147,3 @@ def test_no_scheduler_there_is_told_in_a_line(tmp_path: Path, tool, made_scenes:
     for address in ("nope", "tcp://nope", "tcp://no.such.host.invalid:8786"):
         assert tool.err(2, *command, "--scheduler", address).count("\n") == 1
     tool.told(2, *command, "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2")
-
-
-@pytest.mark.system
-def test_workers_without_an_installed_plug_in_are_refused(cluster: Cluster, tmp_path: Path, made_scenes: Path):
-    packages = tmp_path / "packages"
-    source = "from depthcli.methods.stereo.cost.census import Census\nclass Far(Census):\n    '''Far.'''\n"
-    metadata = "Metadata-Version: 2.1\nName: far-cost\nVersion: 1.2\n"
-    laid(packages, {"far_cost.py": source, "far_cost-1.2.dist-info/METADATA": metadata})
-    command = ["stereo", "fast", "-i", str(made_scenes), "-o", str(tmp_path / "out"), "--set", "cost=far"]
-    command += ["--plugin", "far_cost"]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(packages), os.environ["PYTHONPATH"]])}
-    command += ["--scheduler", cluster.address]
-    done = ended(2, sys.executable, "-m", "depthcli", *command, env=environment)
-    assert "not its plug-ins" in done.stderr
