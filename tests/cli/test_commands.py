@@ -28,8 +28,7 @@ from depthcli.methods.stereo.pipeline.opencv_sgbm import OpencvSgbm
 from tests.command_line import ended, rows, run
 from tests.files import laid
 
-FAST = "opencv-bm"
-"""The quickest preset; the tests here are about what is around the matching."""
+FAST = "opencv-bm"  # the quickest preset; the tests here are about what is around the matching
 
 
 def test_maps_and_reports_for_a_folder_whose_run_file_is_a_config(made_scenes: Path, tmp_path: Path):

@@ -18,12 +18,11 @@ pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full, signals and file names of bytes"),
 ]
 
-COMMAND = (sys.executable, "-m", "depthcli", "stereo", "opencv-bm")
-
 
 def shell(code: int, line: str, *arguments: str | Path, **environment: str) -> str:
     """Run ``line`` in bash with ``arguments`` as the command's, "$@" in the line; return what is on stderr."""
-    words = ("bash", "-o", "pipefail", "-c", line, "bash", *COMMAND, *arguments)
+    command = (sys.executable, "-m", "depthcli", "stereo", "opencv-bm", *arguments)
+    words = ("bash", "-o", "pipefail", "-c", line, "bash", *command)
     return ended(code, *words, env=os.environ | environment, errors="replace").stderr
 
 

@@ -74,11 +74,6 @@ def others(folder: Path, place: str) -> Path:
     return folder
 
 
-def text_of(report: EvaluationReport) -> str:
-    """All tables, as ``--tables all`` prints them."""
-    return chosen_text(report, ["all"])
-
-
 def bad(result: MapResult, mask: str = "all", threshold: float = 1.0) -> float:
     return find_score(result.scores, "bad", mask, threshold).value
 
@@ -126,7 +121,7 @@ def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
     reasons = {(r.run, r.scene): r.error for r in report.failed}
     assert set(reasons) == {("run", "a"), ("run", "b"), ("broken", "a"), ("told", "a")}
     told("\n".join(reasons.values()))
-    assert "Not evaluated" in text_of(report)
+    assert "Not evaluated" in chosen_text(report, ["all"])
     assert sum(row["metric"] == "failed" for row in rows(tmp_path / "out")) == 4
 
 
@@ -256,7 +251,7 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     # No bound, no mean over all: but one over what both have.
     full, lacking = (means[run, "avgerr", "all", None] for run in ("both", "easy"))
     assert full["value"] == pytest.approx(0.75) and math.isnan(lacking["value"]) and lacking["value_common"] == 0
-    for text in (text_of(report), (tmp_path / "out" / "report.md").read_text()):
+    for text in (chosen_text(report, ["all"]), (tmp_path / "out" / "report.md").read_text()):
         for said in ("2, 1 missing*", "50.00*", "1 common", "*: all pixels of scenes without a map count as incorrect"):
             assert said in text
     written = {(r["run"], r["scene"], r["metric"], r["mask"], r["threshold"]): r for r in rows(tmp_path / "out")}
