@@ -215,6 +215,11 @@ def test_wrong_poses_are_one_line(tmp_path: Path):
         assert said in broken.problem and "\n" not in broken.problem
 
 
+def test_a_frame_without_true_depth_is_refused(tmp_path: Path):
+    (scene,) = find(laid(tmp_path / "s", {"color.png": COLOR, "depth.png": DEPTH}))
+    refused(InputError, rgbd_frames.true_depth, scene)
+
+
 def test_sun_rotates_its_bits(tmp_path: Path):
     codes = (DEPTH << np.uint16(3)) | (DEPTH >> np.uint16(13))
     laid(tmp_path / "s", {"image/x.png": COLOR, "depth/y.png": codes, "intrinsics.txt": "500 0 4\n0 510 3\n0 0 1\n"})

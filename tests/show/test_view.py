@@ -1,9 +1,11 @@
 """Pictures of maps: values, confidence, bounds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from depthcli.show.view import NO_VALUE, View, bound_range, draw, draw_legend, map_colors
+from depthcli.show.view import NO_VALUE, UNKNOWN, View, bound_range, draw, draw_legend, map_colors
 
 
 def confidence(values: np.ndarray) -> np.ndarray:
@@ -32,6 +34,14 @@ def test_previews():
     assert picture.dtype == np.uint8 and picture.shape == (1, 4, 3)
     assert picture[0, 3].tolist() == [0, 0, 0]
     assert len({tuple(color) for color in picture[0].tolist()}) == 4
+
+
+def test_the_image_shows_where_an_error_is_unknown():
+    kinds, image = np.array([[UNKNOWN, *set(range(3)) - {UNKNOWN}]], np.uint8), np.full((1, 3, 3), 200, np.uint8)
+    view = View(np.zeros((1, 3), np.float32), kinds=kinds, error=np.zeros((1, 3), np.float32), image=image, opacity=0.5)
+    alone = draw(replace(view, image=None), "error")[0].astype(int)
+    over = draw(view, "error")[0].astype(int)
+    assert over[0].tolist() == [200] * 3 and np.abs(over[1:] - (alone[1:] + 200) / 2).max() <= 1
 
 
 def test_depth_lies_over_a_scale_in_meters():

@@ -63,6 +63,18 @@ def test_planes_are_those_of_single_pixels(evidence: _planes.Evidence, broken: n
         assert judged.plane("missing")[y, x] == np.isnan(broken[y, x])
 
 
+def test_gaps_are_filled_and_differences_limited():
+    values = np.full((40, 60), 0.25, np.float32)
+    values[:, 30:], values[5:9, 40:44] = 40, np.nan
+    whole, missing = given_maps.without_gaps(values, 64)
+    assert np.array_equal(whole[~missing], values[~missing]) and np.isfinite(whole[missing]).all()
+    planes = {name: np.empty(whole.shape, np.float32) for name in _planes.INPUTS}
+    whole[20, 10] = 40  # alone, so that no median sees it
+    _planes.shape_planes(whole, 64, planes)
+    limits = {"mean_11": 6, "mean_25": 6, "median_5": 6, "median_21": 8}
+    assert {name: planes[f"above_{name}"].max() for name in limits} == limits
+
+
 def test_the_kernel_is_the_network(evidence: _planes.Evidence, broken: np.ndarray):
     known = networks()
     judged = given_maps.judged_maps(evidence, [broken, broken + 1])[0]
@@ -129,6 +141,9 @@ def test_the_best_of_two_halves(pair: StereoPair, scene: SyntheticScene, surface
     best = fuse(networks(), pair, [upper, np.clip(lower, 0, None)], 32, surfaces=surfaces)
     assert wrong(best, scene) < 0.05 and np.isfinite(best.disparity.values).all()
     assert best.probability[scene.nonocc].mean() > 0.8
+    status = best.disparity.status
+    assert np.mean(status[scene.nonocc] == Status.MEASURED) > 0.8
+    assert np.mean(status[~scene.nonocc] & (Status.OCCLUDED | Status.OUT_OF_RANGE) > 0) > 0.5
 
 
 def test_without_a_right_image_only_the_shape_counts(pair: StereoPair, scene: SyntheticScene):

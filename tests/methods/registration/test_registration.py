@@ -194,6 +194,17 @@ def test_fitted_error_rises_with_the_score():
     assert found.mean() == pytest.approx(error.mean(), rel=0.05)
 
 
+def test_local_values_are_over_their_deviation_or_its_floor():
+    volume = np.random.default_rng(2).normal(5, 3, (12, 14, 16)).astype(np.float32)
+    volume[:, :, 8:] = 5  # flat
+    centered = volume.astype(np.float64) - volume.mean(dtype=np.float64)
+    mean, square = (ndimage.gaussian_filter(values, 2.0, mode="nearest", truncate=3.4) for values in
+                    (centered, centered**2))  # fmt: skip
+    expected = (centered - mean) / np.sqrt(np.maximum(square - mean**2, (0.4 * centered.std()) ** 2))
+    found = part("methods.registration.feature", "local_ncc", floor=0.4)._normalized(volume)
+    np.testing.assert_allclose(found, expected, rtol=5e-3, atol=5e-3)
+
+
 @pytest.mark.parametrize("name", ["mind", "mind_ssc", "local_ncc"])
 def test_channels_are_the_same_at_any_contrast(name):
     volume = soft_volume(4)
