@@ -18,7 +18,8 @@ from depthcli.evaluation.protocols.depth import DepthTruth
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_background
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MapResult, Metric, Score, find_score, in_order
 from depthcli.io.formats.disparity import read_disparity, write_pfm
-from depthcli.io.scenes import StereoScene
+from depthcli.io.formats.images import write_png
+from depthcli.io.scenes import RgbdScene, StereoScene
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.io.stereo_pairs import StereoTruth
 from tests.golden import refused, saying, warned
@@ -414,6 +415,15 @@ def test_depth_by_hand():
          "bad 1 px": 75}, rel=1e-5,
     )  # fmt: skip
     assert judge.wrong(estimate, truth)[0].tolist() == [False, True, False, False, False, True]
+
+
+def test_codes_of_depth_have_the_scale_of_the_settings_or_of_the_truth(tmp_path):
+    write_png(tmp_path / "d.png", np.full((1, 2), 2000, np.uint16))
+    scene = RgbdScene(name="a", folder=tmp_path, color=tmp_path / "c.png", depth=tmp_path / "d.png")
+    truth = DepthTruth(np.ones((1, 2), np.float32), {}, None, 4000.0)
+    assert make("depth").read(scene.depth, scene, truth).tolist() == [[0.5, 0.5]]
+    assert make("depth", scale=500.0).read(scene.depth, scene, truth).tolist() == [[4.0, 4.0]]
+    refused(InputError, make("middlebury-v2").truth, scene)
 
 
 def test_scene_flow_evaluates_disparities_below_192():
