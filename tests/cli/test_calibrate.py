@@ -152,6 +152,7 @@ def test_damaged_photos_are_left_out_and_said(few: Path, tmp_path: Path, tool) -
 def test_pairs_of_no_rig_are_refused(few: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tool) -> None:
     line, whole = ("calibrate", few, "-o", tmp_path / "c.yml", *CHESS[2:], "--board"), RectifiedRig.points
     tool.told(2, *line, "10x7")
+    tool.told(2, "calibrate", tmp_path / "nothing", *line[2:], "9x6")
     with monkeypatch.context() as patch:
         patch.setattr(RectifiedRig, "points", lambda *a: (whole(*a)[0], whole(*a)[1] + 2))
         assert "rows are 2" in tool.err(2, *line, "9x6")

@@ -72,6 +72,7 @@ def test_both_images_share_one_scale_and_larger_samples_are_white():
     assert StereoPair(byte, byte, 8).grey[0] is byte
     for bits in (0, 9):  # do not fit the type
         refused(ValueError, StereoPair, byte, byte, bits)
+    refused(ValueError, StereoPair, byte, byte, None, byte[:1])
 
 
 def test_infrared_is_white_above_999_of_1000_pixels():

@@ -76,7 +76,7 @@ FILTERS = [
 def test_filters_of_costs_are_the_same_bytes_but_for_rounded_weights(device, method, size):
     assert type(method) in TABLE
     pair = blocky_pair(*size[:2])
-    for dtype in (np.uint8, np.uint16, np.float32)[: 3 if isinstance(method, Scanline) else 2]:
+    for dtype in (np.uint8, np.uint16, np.float32)[: 3 if isinstance(method, ConstantWindow | Scanline) else 2]:
         volume = random_volume(*size, dtype)
         expected = method(volume, pair)
         there = DevicePair(device, pair, TABLE)

@@ -377,6 +377,7 @@ def test_a_rig_and_a_rectified_pair(tmp_path):
     write_infrared(tmp_path / "a")
     frame = loaded(tmp_path / "a")
     assert isinstance(frame.rig, Rig) and frame.infrared.shape == (28, 36) and frame.rig.left.distortion[0] == 0.1
+    assert not any(frame.rig.right.distortion)
     write_png(tmp_path / "a/ir_noprojector.png", np.full((28, 36), 77, np.uint8))
     assert (loaded(tmp_path / "a").infrared == 77).all()
     write_infrared(tmp_path / "b", {"rectified": True, "fb": 12.5}, (30, 40))
