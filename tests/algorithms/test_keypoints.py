@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.keypoints import KeyPoints, surf
+from depthcli.algorithms.keypoints.sift import Sift
 from depthcli.algorithms.keypoints.surf import Surf
 from depthcli.kernels.jit import run_bands
 from depthcli.methods.stereo.keypoint_matching import KeyPointMatching
@@ -43,6 +44,15 @@ def test_a_blob_is_found_where_it_is(dark, y, x):
     assert abs(points.x[0] - x) < 0.2 and abs(points.y[0] - y) < 0.2
     assert points.scale[0] == pytest.approx(2.5, rel=0.35)
     assert points.sign[0] == (1 if dark else -1)
+
+
+@pytest.mark.parametrize("detector", [Sift(), Surf()], ids=["sift", "surf"])
+@pytest.mark.parametrize("deviation", [3, 6])
+def test_the_scale_of_a_blob_is_its_deviation(detector, deviation):
+    y, x = np.mgrid[:200, :240]
+    points = detector((60 + 150 * np.exp(-((x - 120) ** 2 + (y - 100) ** 2) / (2 * deviation**2))).astype(np.uint8))
+    strongest = points.x[0], points.y[0], points.scale[0]
+    assert strongest == pytest.approx((120, 100, 0.8 * deviation), abs=0.12 * deviation)
 
 
 @pytest.mark.parametrize(("angle", "scale", "least"), [(5, 1.0, 0.75), (10, 1.0, 0.6), (0, 1.15, 0.6), (0, 0.85, 0.6)])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import depthcli.commands.sweep
 from depthcli.core.errors import ConfigError
 from depthcli.evaluation.sweeps import combinations, effects, folder_names, parse_axes, value_text
 from depthcli.run.folder import FolderLock
@@ -31,6 +32,13 @@ def test_a_sweep_is_resumed_and_says_what_matters(two_scenes: Path, tmp_path: Pa
     assert not list(tmp_path.glob(".*"))
     assert len(json.loads(again)["results"][0]["runs"]) == 7
     assert {path: path.stat().st_mtime_ns for path in maps} == maps
+
+
+@pytest.mark.parametrize(("failed", "code"), [(False, 0), (True, 3)])
+def test_runs_are_compared_by_the_process_that_ends_last(two_scenes, tmp_path: Path, tool, monkeypatch, failed, code):
+    monkeypatch.setattr(depthcli.commands.sweep, "_compute", lambda *_: (failed, True))  # others still compute some
+    tool.told(code, "sweep", "fast", "-i", two_scenes, "-o", tmp_path / "a", "--over", "optimization.p2=2,8")
+    assert not (tmp_path / "a" / "sweep.csv").exists()
 
 
 def test_wrong_values_draws_and_dry_runs_compute_nothing(two_scenes: Path, tmp_path: Path, tool):
