@@ -150,6 +150,7 @@ WRONG = {
     "confidence -i . --maps m -o x --share 0.8 --threshold 0.5": "--share and --threshold exclude each other",
     "confidence -i . --maps m -o x --keep 0.8": "the share of the surest pixels is --share 0.8",
     "confidence -i . --maps m -o x --measure sharpness": "--measure: no measure called 'sharpness'; one of: all, left",
+    "fuse accurate -i . --maps a -o x": "--maps goes with depthcli fuse maps",
     "fuse maps -i . --maps a -o x --set p=1": "--set does not go with fuse maps",
     "fuse maps -i . --maps a -o x --min-disparity 3": "--min-disparity does not go with fuse maps",
     "register-confidence mind --fixed a.nii -o x": "--fixed needs --warped",

@@ -63,6 +63,10 @@ def test_pooled_figures_are_those_of_all_points(limit: int, monkeypatch: pytest.
     pairs = [errors_along_x(1), errors_along_x(2, (4, 50, 100))]
     pooled = values(PROTOCOL.mean([result(str(i), *pair) for i, pair in enumerate(pairs)]))
     together = [np.concatenate([pair[k].ravel() for pair in pairs])[None, None] for k in (0, 1)]
+    units = {score.metric.name: score.metric.unit for score in result("0", *pairs[0]).scores}
+    assert units == dict.fromkeys(("Spearman", "Pearson", "AUC"), "") | {"accuracy": "%"} | dict.fromkeys(
+        ("MAE", "expected", "AUSE", "AURG", "TRE", "TRE std", "TRE30"), "mm"
+    )
     assert pooled == pytest.approx(values(result("all", *together).scores), rel=1e-12 if limit > 10**6 else 0.01)
 
 

@@ -102,6 +102,11 @@ def test_half_a_pair_is_an_item_with_a_problem(tmp_path: Path):
     refused(InputError, load, scene)
 
 
+def test_one_view_alone_is_no_scene(tmp_path: Path):
+    for name in ("im2.png", "view1.png"):
+        refused(InputError, find, laid(tmp_path / name, {f"a/{name}": COLOR}))
+
+
 def test_files_are_not_opened_until_they_are_loaded(tmp_path: Path):
     views = laid(tmp_path / "views", {"a/view1.png": COLOR, "a/view5.png": COLOR, "a/disp1.png": b"damaged"})
     (scene,) = find(views)

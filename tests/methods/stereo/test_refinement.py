@@ -8,6 +8,7 @@ import pytest
 
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.method import Family
 from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.volume import RefinementContext
 from depthcli.testing.inputs import TINY, blocky_pair, random_volume
@@ -188,3 +189,9 @@ def test_slanted_median(shape):
     # Intervals of 1/16, then steps of 1/8.
     assert np.all(result[valid] >= np.maximum(low[valid], 0) - 0.1)
     assert np.all(result[valid] <= np.maximum(high[valid], 0) + 0.1)
+
+
+def test_only_steps_that_look_at_whole_regions_have_no_halo():
+    family = Family.of("depthcli.methods.stereo.refinement")
+    wide = {name for name in family.own_names if part("methods.stereo.refinement", name).halo() is None}
+    assert wide == {"background_fill", "discontinuity_adjustment", "interpolation", "speckle_filter"}
