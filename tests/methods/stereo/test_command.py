@@ -168,7 +168,8 @@ def test_formats_scales_and_values_that_mean_none(here: Path):
         np.testing.assert_array_equal(np.isnan(result.values), result.status > 0)
         assert (result.values[1:] == 4.5).all()
     assert found("map.png", format="png", scale=2).values[5, 5] == 14.5
-    refused(ProgramError, found, "map.npy", format="npy", invalid=[4.5, 15.5])
+    with pytest.raises(ProgramError, match="from 0 to 15"):
+        found("map.npy", format="npy", invalid=[4.5, 15.5])
     assert found("map.npy", format="npy", scale=0.5).values[5, 5] == 9
 
 
