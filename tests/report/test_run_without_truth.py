@@ -12,12 +12,14 @@ from depthcli.cli import main
 from depthcli.core.maps import Status
 from depthcli.core.volumes import Grid
 from depthcli.evaluation.evaluate import ScoredMap
+from depthcli.evaluation.protocols import Settings, load
+from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.scores import MapResult
 from depthcli.io.formats.disparity import read_pfm, read_status
 from depthcli.io.formats.images import read_grey, read_image
 from depthcli.io.formats.volumes import read_volume, write_array
-from depthcli.io.scenes import VolumePairScene
+from depthcli.io.scenes import StereoScene, VolumePairScene
 from depthcli.report.packing import unpack
 from depthcli.report.scene_view import view_with_truth
 from depthcli.report.without_truth import _doubt
@@ -207,3 +209,14 @@ def test_landmarks_leave_the_whole_volume_in_sight(volumes: Path):
     scene = replace(scene, fixed=volumes.parent / "flat.mha")
     view = view_with_truth(judge, scene, registration_truth(errors, flat, places, None))
     assert view is not None and {shown["tall"] for shown in view.data["views"]} == {0.5, 1.5, 3.0}
+
+
+@pytest.mark.parametrize(("size", "shown"), [((72, 96), (36, 48, 3)), ((36, 48), (36, 48, 3)), ((72, 48), None)])
+def test_an_image_is_shown_at_the_size_of_the_map(tmp_path: Path, size: tuple[int, int], shown: tuple | None):
+    laid(tmp_path, {"left.png": np.zeros((*size, 3), np.uint8)})
+    scene = StereoScene(name="a", folder=tmp_path, left=tmp_path / "left.png")
+    values, judge = np.ones((36, 48), np.float32), load("eth3d")(Settings())
+    view = view_with_truth(judge, scene, DisparityTruth(values, {"all": values > 0}))
+    assert view is not None
+    image = view._image_of(view._start)
+    assert (None if image is None else image.shape) == shown
