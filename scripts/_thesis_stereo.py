@@ -173,7 +173,7 @@ def names(m: Any) -> dict[str, Any]:
 
 
 EXPERIMENTS = {
-    "v2": Experiment("2", of_v2, chapter_2, 1),
+    "v2": Experiment("2", of_v2, chapter_2, 2),
     "repetition": Experiment("2", repetitive, repetition, 1),
     "fig-3.3": Experiment("3", of_v2, figure_3_3, 1),
     "fig-3.2": Experiment("3", lambda data: list(of_v2(data))[2:3], figure_3_2),
