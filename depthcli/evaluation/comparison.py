@@ -202,7 +202,7 @@ class EvaluationReport:
 
     @property
     def incomplete(self) -> bool:
-        """Whether maps, ground truth, the page or the sheet are missing; the command then ends with exit code 3."""
+        """Return whether maps, ground truth, the page or the sheet are missing, for which the exit code is 3."""
         return bool(self.failed or self.unwritten)
 
     @property

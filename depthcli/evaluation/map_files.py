@@ -99,7 +99,7 @@ class DisparityFiles(MapFiles):
     other_places: tuple[str, ...] = ("{scene}/disp0METHOD.pfm",)
 
     def candidates(self, folder: Path, scene: str) -> Iterator[Path]:
-        """Also yield result files of the Middlebury v3 kit: ``disp0METHOD.pfm``, then ``disp0METHOD_s.pfm``."""
+        """Yield the files that may be the map, those of the Middlebury v3 kit last: ``disp0METHOD(_s).pfm``."""
         yield from super().candidates(folder, scene)
         inside = folder / scene
         kit = sorted(path for path in inside.glob("disp0*.pfm") if not path.stem.startswith("disp0GT"))
