@@ -49,8 +49,7 @@ def test_a_blob_is_found_where_it_is(dark, y, x):
 @pytest.mark.parametrize("detector", [Sift(), Surf()], ids=["sift", "surf"])
 @pytest.mark.parametrize("deviation", [3, 6])
 def test_the_scale_of_a_blob_is_its_deviation(detector, deviation):
-    y, x = np.mgrid[:200, :240]
-    points = detector((60 + 150 * np.exp(-((x - 120) ** 2 + (y - 100) ** 2) / (2 * deviation**2))).astype(np.uint8))
+    points = detector(_blob(100, 120, deviation, shape=(200, 240)))
     strongest = points.x[0], points.y[0], points.scale[0]
     assert strongest == pytest.approx((120, 100, 0.8 * deviation), abs=0.12 * deviation)
 

@@ -186,9 +186,7 @@ def test_numbers_of_photos_are_no_cameras(tmp_path: Path) -> None:
 def test_folders_of_two_cameras_may_have_the_camera_in_their_names(tmp_path: Path) -> None:
     for names in (("left01.png", "right01.png"), ("cam0_1.png", "cam1_1.png"), ("1.png", "1.png")):
         files = [tmp_path / names[0] / side / name for side, name in zip("ab", names, strict=True)]
-        for file in files:
-            file.parent.mkdir(parents=True)
-            file.touch()
+        laid(tmp_path, {str(file): "" for file in files})
         photos, unnamed = find_photos([file.parent for file in files])
         assert [(each.left, each.right) for each in photos] == [tuple(files)] and unnamed == []
 
