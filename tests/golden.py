@@ -8,6 +8,7 @@ import csv
 import json
 import os
 import re
+import sys
 import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator, Sequence
@@ -76,6 +77,7 @@ def _plain(text: str) -> str:
         text = text if folder is None else text.replace(str(folder), name)
     progress = r"[\w-]+: \d+ of \d+ scenes(, \d+ failed)?|(first use of these settings|compiled \d+ kernels) .*"
     text = re.sub(rf"^({progress})\n", "", text, flags=re.M)
+    text = re.sub(rf"\b{re.escape(Path(sys.executable).name)} (ended|was)\b", r"python \1", text)  # python3, ...
     text = re.sub(r"^(Traceback .*\n)(?:[ ~^].*\n)+", r"\1", text, flags=re.M)  # its lines change with the code
     return re.sub(r"\b\d+(\.\d+)? (s|min|ms)\b", r"N \2", text)
 
