@@ -6,12 +6,15 @@ from itertools import permutations, product
 import numpy as np
 import pytest
 
-from depthcli.core.cameras.camera import Camera
+from depthcli.core.cameras.camera import Camera, Intrinsics
 from depthcli.core.cameras.rig import Rig
+from depthcli.core.cameras.triangulation import PairGeometry
+from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import InputError
-from depthcli.core.frames import RgbdFrame, StereoPair, infrared_image
-from depthcli.core.volumes import ENDS, Grid
-from tests.golden import refused
+from depthcli.core.frames import RgbdFrame, SparseFrame, StereoPair, infrared_image
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.volumes import ENDS, Grid, RegisteredPair
+from tests.golden import refused, told
 
 MATRIX = np.array([[190.0, 0, 98], [0, 192, 77], [0, 0, 1]])
 CAMERA = Camera(MATRIX, (0.05, -0.03, 0.001, -0.001, 0.0))
@@ -34,6 +37,16 @@ def test_impossible_cameras_and_rigs_are_refused():
         {"right": Camera(MATRIX, (0,) * 4, None, True)},
     ):
         refused(InputError, Rig, **{**values, **changes})
+    rig = Rig(Camera(MATRIX, (0,) * 5, (200, 150)), CAMERA, np.eye(3), np.array([-0.1, 0, 0]))
+    refused(InputError, rig.rectified, (200, 151), (200, 150))
+    refused(InputError, rig.rectified, (200, 150), (900, 150))
+    lens = Intrinsics(190, 192, 98, 77)
+    assert PairGeometry(lens, 0.1).fb == pytest.approx(19)
+    for of, baseline, offset in (
+        (lens, np.inf, 0), (lens, 0.1, np.nan), (replace(lens, fx=np.inf), 0.1, 0), (replace(lens, fy=0), 0.1, 0),
+        (lens, -0.1, 0),
+    ):  # fmt: skip
+        refused(InputError, PairGeometry, of, baseline, offset)
 
 
 def test_a_camera_sees_a_point_on_the_ray_of_its_pixel_and_of_two_the_nearer_one():
@@ -45,6 +58,8 @@ def test_a_camera_sees_a_point_on_the_ray_of_its_pixel_and_of_two_the_nearer_one
     expected[[30, 100], [20, 150]] = 1
     np.testing.assert_array_equal(depth, expected)
     assert (values[30, 20], values[100, 150]) == (0, 1)
+    assert np.isnan(CAMERA.depth_image(-points, (150, 200), np.zeros(2, np.float32))).all()
+    assert CAMERA.rays(np.zeros((0, 2))).shape == (0, 2)
     # Of an image of another size the corners of pixels stay.
     scaled = CAMERA.scaled((0.5, 2)).rays((pixels + 0.5) * (0.5, 2) - 0.5)
     np.testing.assert_allclose(scaled, CAMERA.rays(pixels), atol=1e-6)
@@ -78,14 +93,47 @@ def test_both_images_share_one_scale_and_larger_samples_are_white():
 def test_infrared_is_white_above_999_of_1000_pixels():
     levels = infrared_image(np.arange(10_000, dtype=np.uint16)[None])[0]
     assert (levels[5000], levels[9950], levels[9990]) == (128, 254, 255)
+    np.testing.assert_array_equal(infrared_image(np.array([[[7, 1, 2]]], np.uint8)), [[7]])  # the first channel
 
 
-def test_color_and_depth_of_a_frame_fit():
-    color, depth = np.zeros((4, 5, 3), np.uint8), np.ones((4, 5), np.float32)
-    assert RgbdFrame(color, depth).shape == (4, 5)
-    for wrong in ((color[..., 0], depth), (color, depth[1:]), (color, depth.astype(np.float64)), (color / 2, depth)):
-        with pytest.raises(ValueError, match="expected"):
-            RgbdFrame(*wrong)
+BYTES, FLOATS = np.zeros((4, 5), np.uint8), np.ones((4, 5), np.float32)
+COLOR, CUBE = np.dstack([BYTES] * 3), np.ones((2, 4, 5), np.float32)
+
+
+@pytest.mark.parametrize(("kind", "fitting", "others"), [
+    (StereoPair, (BYTES, BYTES), [
+        (BYTES, BYTES[1:]), (BYTES, BYTES.astype(np.uint16)), (FLOATS, FLOATS), (COLOR[..., :2], COLOR[..., :2]),
+        (BYTES[0], BYTES[0])]),
+    (RgbdFrame, (COLOR, FLOATS), [
+        (BYTES, FLOATS), (COLOR, FLOATS[1:]), (COLOR, FLOATS.astype(float)), (COLOR / 2, FLOATS)]),
+    (lambda sparse, trust: SparseFrame(COLOR, FLOATS, sparse=sparse, sparse_confidence=trust), (FLOATS, FLOATS), [
+        (FLOATS[1:], None), (FLOATS, BYTES)]),
+    (RgbIrFrame, (COLOR, BYTES, FLOATS), [(COLOR, COLOR, FLOATS), (COLOR, FLOATS, FLOATS), (COLOR, BYTES[1:], FLOATS)]),
+    (DisparityMap, (FLOATS, BYTES), [(FLOATS, BYTES[1:]), (FLOATS, FLOATS), (BYTES, BYTES)]),
+    (RegisteredPair, (CUBE, CUBE, (1, 1, 1), CUBE > 0), [
+        (FLOATS, FLOATS, (1, 1, 1)), (CUBE, CUBE[1:], (1, 1, 1)), (CUBE, CUBE > 0, (1, 1, 1)),
+        (CUBE, CUBE, (1, 1, 1), CUBE[1:] > 0), (CUBE, CUBE, (1, 1, 1), CUBE), (CUBE, CUBE, (1, 0, 1)),
+        (CUBE, CUBE, (1, 1)), (CUBE, CUBE, (1, 1, np.inf)), (CUBE, CUBE * np.float32(np.nan), (1, 1, 1))]),
+], ids=["pair", "color and depth", "sparse depth", "infrared", "map", "volumes"])  # fmt: skip
+def test_arrays_that_do_not_fit_together_are_refused(kind, fitting, others):
+    kind(*fitting)
+    for wrong in others:
+        with pytest.raises((ValueError, TypeError)) as caught:
+            kind(*wrong)
+        told(str(caught.value))
+
+
+def test_pixels_of_a_map_are_told_apart_by_their_bits():
+    status = np.array(
+        [[0, Status.OCCLUDED | Status.FILLED, Status.MISMATCH | Status.FILLED, Status.OCCLUDED]], np.uint8
+    )
+    found = DisparityMap(np.array([[1, 2, 3, np.nan]], np.float32), status)
+    assert found.density == 0.75
+    for pixels, expected in (
+        (found.valid, [1, 1, 1, 0]), (found.measured, [1, 0, 0, 0]), (found.filled, [0, 1, 1, 0]),
+        (found.occluded, [0, 1, 0, 1]), (found.mismatched, [0, 0, 1, 0]),
+    ):  # fmt: skip
+        assert pixels.tolist() == [list(map(bool, expected))]
 
 
 WORLD = ((2, 1), (1, -1), (0, -1))
