@@ -39,6 +39,7 @@ def test_middlebury(tmp_path: Path):
     assert run(*line(made, "middlebury-v3", a)) == 0
     with zipfile.ZipFile(a) as archive:
         assert float(archive.read("testQ/Plants/timeOUR-1.txt")) == 1.25
+        assert all(file.create_system == 3 and file.external_attr >> 16 == 0o644 for file in archive.infolist())
         archive.extractall(tmp_path / "out")
     values = read_disparity(tmp_path / "out" / "trainingQ" / "Teddy" / "disp0OUR-1.pfm")
     assert np.all(values == 20 + V3.scenes[TRAINING].index("Teddy") / 256) and values.shape == (3, 450)

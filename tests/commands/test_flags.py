@@ -51,6 +51,8 @@ def test_scores_flag_scenes_in_tables_json_and_page(two_scenes, tmp_path, tool):
         assert run(*command, "-o", tmp_path / scene, "--html", "-q", "--flag", f"bad 1{limit}") == 0
         assert f'<a href="#scene-0">{scene}</a>' in (tmp_path / scene / "report.html").read_text("utf-8")
     assert "flagged" not in json.loads(tool.out(0, *command, "--json"))
+    document = json.loads(tool.out(0, *command, "--scenes", "planes_0", "--json", "--flag", "measured<2"))
+    assert [each["scene"] for each in document["flagged"]] == ["planes_0"]
 
 
 def test_thresholds_of_smaller_images_are_named_by_those_of_the_full_size(two_scenes, tmp_path, tool):

@@ -30,7 +30,7 @@ def table(row: str, head: str = "", scale: float = 1.0, decimal: str = ".") -> s
 @pytest.mark.parametrize("text", [
     table("{x},{y},{z}"), table("{x} {y} {z}"), table("{x},\t{y},\t{z}"),
     table("{x}\t{y}\t{z}", decimal=","), table("{x};{y};{z}", "x;y;z", decimal=","),
-    table('"{x}","{y}","{z}"', '"x","y","z"'), table("{z},{y},{x}", "z,y,x"), table("{x},{y},{z}", "# x,y,z"),
+    table('"{x}", "{y}", "{z}"', '"x", "y","z"'), table("{z},{y},{x}", "z,y,x"), table("{x},{y},{z}", "# x,y,z"),
     table("{x} {y} {z} 0.5", "# landmarks of the patient"),
     table("{n},{x},{y},{z}"), table("{k} {x} {y} {z}"), table("P{n},{x},{y},{z}"), table("{x},{y},{z},P{n}"),
     table("{n},{x},{y},{z}", "id,X (mm),Y (mm),Z (mm)"), table("{x} {y} {z}", "X (mm) Y (mm) Z (mm)"),

@@ -26,7 +26,7 @@ from depthcli.io.formats.images import read_image
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.volume_pairs import RegistrationTruth
-from depthcli.report.contact_sheet import ContactSheet
+from depthcli.report.contact_sheet import ContactSheet, _bar
 from depthcli.report.packing import pack, pack_bytes, thinned, unpack
 from depthcli.report.page import Page, _bars
 from depthcli.report.scene_view import slices
@@ -303,6 +303,7 @@ def test_maps_in_the_colors_of_the_truth_stand_above_their_errors(tmp_path: Path
     assert in_column[:, 1].max() < top
     of_truth = yellow[yellow[:, 0] < left]
     assert len(of_truth) > 0 and of_truth[:, 1].min() >= top  # in the row of the errors, below the image
+    assert (_bar(0.0, 9.0, "px")[2:12, [0, -1]] == np.asarray(map_colors())[[0, -1]]).all()
 
 
 def test_the_scenes_that_differ_most_are_shown(tmp_path: Path):
