@@ -45,7 +45,7 @@ _NOT_FOUND, _OUTLIER = "board not found", "outlier"  # reasons for ignoring a ph
 _LENGTH = re.compile(r"\s*([0-9]*\.?[0-9]+)\s*(mm|cm|m)\s*")
 _BOARD = re.compile(r"(charuco:)?(\d{1,3})x(\d{1,3})", re.IGNORECASE)
 _MAX_SQUARE = 10.0  # meters
-_COUNTS = (2, 200)  # limits of corners per row or column
+_MAX_COUNT = 200  # of corners per row or column
 _CELLS = (8, 6)  # cells per image, to measure the coverage by corners
 
 # Beyond these limits the report has a warning.
@@ -101,9 +101,9 @@ def board_of(board: str, square: str, marker: str | None, dictionary: str) -> Bo
         raise ConfigError(f"--board: expected 9x6 (inner corners) or charuco:7x5 (squares) (got {board!r})")
     edge, counts = _length("square", square), (int(match[2]), int(match[3]))
     columns, rows = (count - 1 for count in counts) if match[1] else counts
-    low, high = _COUNTS
-    if not (low <= min(columns, rows) and low < max(columns, rows) <= high):
-        raise ConfigError(f"--board: {board} has too few or too many corners; expected {low + 1}x{low} or more")
+    low, smallest = (2, "charuco:4x3") if match[1] else (3, "3x3")  # OpenCV finds no smaller ones
+    if not (low <= min(columns, rows) and 3 <= max(columns, rows) <= _MAX_COUNT):
+        raise ConfigError(f"--board: {board} has too few or too many corners; expected {smallest} or more")
     if not match[1]:
         if marker is not None or dictionary != "4X4_50":
             raise ConfigError("--marker and --dictionary describe a ChArUco board: --board charuco:7x5")

@@ -15,6 +15,7 @@ from depthcli.core.errors import InputError
 from depthcli.io.calibration_photos import find_photos
 from depthcli.io.formats.calibrations import read_rig
 from depthcli.io.formats.images import read_image, write_png
+from depthcli.problems.boards import board_of
 from tests import boards
 from tests.boards import SIZE, SQUARE
 from tests.command_line import run
@@ -201,6 +202,16 @@ def test_both_views_of_a_board_number_its_corners_alike(columns: int, rows: int,
     assert left is not None and right is not None
     for flipped in (right, Corners(right.ids, right.pixels[::-1])) if (columns + rows) % 2 == 0 else (right,):
         assert (np.ptp(left.pixels - board.alike(left, flipped).pixels, axis=0) < 40).all()
+
+
+def test_the_smallest_boards_are_found() -> None:
+    for (words, marker), texture in (
+        (("3x3", None), boards.chessboard(3, 3)),
+        (("charuco:4x3", "18mm"), boards.charuco(4, 3, 0.018)),
+    ):
+        photo = boards.photo(boards.rig().left, texture, np.eye(3), np.array([-SQUARE, -SQUARE, 0.25]))
+        found = board_of(words, "25mm", marker, "4X4_50").find(photo)
+        assert found is not None and len(found) == (6 if marker else 9)
 
 
 @pytest.mark.parametrize(("n_pairs", "n_places", "noise", "longer", "is_refused"), [
