@@ -66,11 +66,10 @@ def load_volumes(scene: VolumePairScene, convention: str = "auto", max_voxels: i
     if scene.moving_warped is not None:
         del fixed
         moved, source = _read_like(scene.moving_warped, grid), scene.moving_warped
-    elif scene.moving is not None:
+    else:
+        assert scene.moving is not None  # otherwise the scene has a problem
         moved, source = _warped(scene, scene.moving, fixed, convention)
         del fixed
-    else:
-        raise InputError(f"{scene.folder}: neither moving_warped.* nor moving.* with its transform")
     moved = usable(moved, inside, source)
     if np.isin(moved, (moved.min(), moved.max())).all():
         warn(f"{source}: only the values {moved.min():g} and {moved.max():g}: is it a mask, not the moving volume?")

@@ -123,6 +123,8 @@ def test_itk_transform_files(tmp_path, suffix):
     check(file, AFFINE)
     composed = SimpleITK.CompositeTransform([AFFINE, WARP])  # as of ANTs: an affine after its warp
     check(file, composed, nifti(tmp_path / "field.nii", FIELD), 1e-4)
+    if suffix != ".mat":  # a B-spline, such as of elastix, given as the displacement
+        check(None, AFFINE, file)
 
 
 def elastix(path, name, parameters, initial="NoInitialTransform", **fields):
@@ -153,16 +155,38 @@ def test_elastix_transforms_one_by_one_and_in_chains(tmp_path):
                      GridSpacing=numbers(grid.GetSpacing()), GridOrigin=numbers(grid.GetOrigin()),
                      GridDirection="1 0 0 0 1 0 0 0 1", BSplineTransformSplineOrder="3")  # fmt: skip
     check(second, SimpleITK.CompositeTransform([SPLINE, AFFINE]))
-    circle = elastix(tmp_path / "t.txt", "TranslationTransform", [1.0, 2.0, 3.0], "t.txt")
-    refused(InputError, read_moving_transform, circle, None, "auto", EMPTY, None)
+    spline = {"GridSize": "1 1 1", "GridSpacing": "1 1 1", "GridOrigin": "0 0 0"}
+    for name, initial, fields in (
+        ("TranslationTransform", "t.txt", {}),  # a circle
+        ("TranslationTransform", "u.txt", {"HowToCombineTransforms": '"Add"'}),
+        ("TranslationTransform", "NoInitialTransform", {"FixedImageDimension": "2"}),
+        ("SplineKernelTransform", "NoInitialTransform", {}),
+        ("BSplineTransform", "NoInitialTransform", spline | {"BSplineTransformSplineOrder": "4"}),
+        ("BSplineTransform", "NoInitialTransform", spline | {"GridSpacing": "1 0 1"}),
+    ):
+        file = elastix(tmp_path / "t.txt", name, [1.0, 2.0, 3.0], initial, **fields)
+        refused(InputError, read_moving_transform, file, None, "auto", EMPTY, None)
 
 
 def test_fields_that_cannot_be_read_are_named_once(tmp_path):
     SimpleITK.WriteImage(SimpleITK.Image([4, 4, 4], SimpleITK.sitkVectorFloat32, 2), str(tmp_path / "two.mha"))
     kinds = (3.0, 4.0, 5.0, 7.0, 0.4)  # of NiftyReg: velocities, and unknown ones
     others = [nifti(tmp_path / f"{kind}.nii", FIELD, b"NREG_TRANS", kind) for kind in kinds]
-    for file in (tmp_path / "two.mha", tmp_path / "none.mha", *others):
+    (tmp_path / "cut.npz").write_bytes(b"PK\3\4")
+    np.savez(tmp_path / "flat.npz", FIELD[0])
+    np.savez(tmp_path / "several.npz", FIELD, FIELD)
+    write_array(tmp_path / "own.nrrd", GRID, FIELD)
+    for name, frame in (("same", b"(1,0,0) (0,1.0,0) (0,0,1)"), ("turned", b"(0,1,0) (-1,0,0) (0,0,1)")):
+        data = (tmp_path / "own.nrrd").read_bytes().replace(b"kinds:", b"measurement frame: " + frame + b"\nkinds:", 1)
+        (tmp_path / f"{name}.nrrd").write_bytes(data)
+    np.testing.assert_array_equal(read_field(tmp_path / "same.nrrd", GRID).values, FIELD)
+    named = [tmp_path / name for name in ("two.mha", "none.mha", "cut.npz", "flat.npz", "several.npz", "turned.nrrd")]
+    for file in (*named, *others):
         assert refused(InputError, read_field, file, GRID).count(file.name) == 1
+    np.savez(tmp_path / "more.npz", flow=IN_VOXELS.transpose(3, 2, 1, 0), seconds=np.ones(2))
+    field, lines = warned(read_field, tmp_path / "more.npz", GRID)
+    np.testing.assert_array_equal(field.values, IN_VOXELS.astype(np.float32))
+    assert len(lines) == 1 and "'flow' is read, not seconds" in lines[0]
 
 
 def test_displacements_that_are_no_numbers_blame_their_file(tmp_path):

@@ -18,7 +18,7 @@ from depthcli.evaluation.protocols.depth import DepthProtocol
 from depthcli.evaluation.protocols.eth3d import Eth3dProtocol
 from depthcli.io import rgbd_frames
 from depthcli.io.formats.images import read_grey, write_png
-from depthcli.io.scenes import RgbIrScene, SequenceScene, sequences
+from depthcli.io.scenes import RgbIrScene, SequenceScene, StereoScene, VolumePairScene, sequences
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.frames import FRAMES
 from depthcli.io.scenes.pairs import PAIRS
@@ -215,9 +215,11 @@ def test_wrong_poses_are_one_line(tmp_path: Path):
         assert said in broken.problem and "\n" not in broken.problem
 
 
-def test_a_frame_without_true_depth_is_refused(tmp_path: Path):
-    (scene,) = find(laid(tmp_path / "s", {"color.png": COLOR, "depth.png": DEPTH}))
-    refused(InputError, rgbd_frames.true_depth, scene)
+def test_scenes_without_ground_truth_are_refused(tmp_path: Path):
+    (frame,) = find(laid(tmp_path / "s", FRAME))
+    pair = StereoScene(name="p", folder=tmp_path, left=tmp_path / "s/color.png")
+    for scene in (frame, pair, VolumePairScene(name="v", folder=tmp_path, fixed=tmp_path / "fixed.mha")):
+        refused(InputError, true, scene)
 
 
 def test_sun_rotates_its_bits(tmp_path: Path):

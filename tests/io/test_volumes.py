@@ -1,7 +1,12 @@
 """Volumes: what is written reads back with SimpleITK, what is broken is one line."""
 
 import gzip
+import locale
+import os
+import re
+import shutil
 import struct
+import sys
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -127,6 +132,7 @@ def test_damaged_files_and_other_kinds_of_volume_are_one_line(tmp_path):
     laid(tmp_path, others | {
         "short.nii.gz": gzip.compress((tmp_path / "a.nii").read_bytes()[:600]),
         "zero.mha": whole.replace(b"ElementSpacing = 1 1 1", b"ElementSpacing = 1 0 1"),
+        "wide.mha": whole.replace(b"ElementSpacing = 1 1 1", b"ElementSpacing = 1 2e12 1"),
         "long.mha": whole.replace(b"NDims = 3", b"NDims = 3\nName = " + b"x" * 300),  # which ends the process in MetaIO
     })  # fmt: skip
     series = SimpleITK.JoinSeries([SimpleITK.GetImageFromArray(VALUES)] * 2)
@@ -135,8 +141,63 @@ def test_damaged_files_and_other_kinds_of_volume_are_one_line(tmp_path):
     (tmp_path / "frames").mkdir()
     frames = SimpleITK.GetImageFromArray(np.arange(90, dtype=np.uint16).reshape(3, 5, 6))
     SimpleITK.WriteImage(frames, str(tmp_path / "frames" / "a.dcm"))
-    for name in ("short.nii.gz", "zero.mha", "long.mha", "four.nii.gz", "field.mha", "frames", *others):
+    shutil.copy(tmp_path / "a.mha", tmp_path / os.fsdecode(b"caf\xe9.mha"))
+    refused(InputError, read_volume, tmp_path / os.fsdecode(b"caf\xe9.mha"))
+    for name in ("short.nii.gz", "zero.mha", "wide.mha", "long.mha", "four.nii.gz", "field.mha", "frames", *others):
         unreadable(tmp_path / name)
+
+
+def slices(folder: Path, places: list[str], series: str = "1") -> Path:
+    """A folder of a DICOM slice at every place, (x, y, z) in mm."""
+    folder.mkdir(exist_ok=True)
+    before = locale.setlocale(locale.LC_ALL)  # writing DICOM, which the program does not, leaves the C locale
+    writer = SimpleITK.ImageFileWriter()
+    writer.KeepOriginalImageUIDOn()
+    for k, place in enumerate(places):
+        image = SimpleITK.GetImageFromArray(np.full((5, 6), k, np.int16))
+        tags = {"0008|0060": "CT", "0020|000d": "1.2", "0020|000e": f"1.2.{series}", "0020|0013": str(k),
+                "0008|0018": f"1.2.{series}.{k + 1}", "0020|0032": place, "0020|0037": "1\\0\\0\\0\\1\\0"}  # fmt: skip
+        for tag, text in tags.items():
+            image.SetMetaData(tag, text)
+        writer.SetFileName(str(folder / f"{series}_{k}.dcm"))
+        writer.Execute(image)
+    locale.setlocale(locale.LC_ALL, before)
+    return folder
+
+
+def test_dicom_slices_that_are_no_volume_are_refused(tmp_path):
+    assert read_volume(slices(tmp_path / "whole", ["0\\0\\2", "0\\0\\5"])).grid.spacing == (1, 1, 3)
+    slices(tmp_path / "twice", ["0\\0\\2", "0\\0\\5", "0\\0\\5", "0\\0\\8"])
+    slices(tmp_path / "time", ["0\\0\\2"] * 3)
+    for file in slices(tmp_path / "nowhere", ["0\\0\\2", "0\\0\\5"]).iterdir():
+        file.write_bytes(re.sub(rb"\x20\x00\x32\x00\x06\x00\x00\x00.{6}", b"", file.read_bytes(), flags=re.DOTALL))
+    slices(slices(tmp_path / "two", ["0\\0\\2", "0\\0\\5"]), ["0\\0\\2"], "2")
+    for name in ("twice", "time", "nowhere", "two"):
+        unreadable(tmp_path / name)
+
+
+def test_images_and_a_single_volume_of_four_dimensions(tmp_path):
+    plane = np.arange(30, dtype=np.uint8).reshape(5, 6)
+    volume = read_volume(laid(tmp_path, {"a.png": plane}) / "a.png")
+    np.testing.assert_array_equal(volume.values, plane[None].astype(np.float32), strict=True)
+    assert volume.grid == read_grid(tmp_path / "a.png") == Grid((6, 5, 1), (1.0, 1.0, 1.0))
+    image = SimpleITK.GetImageFromArray(VALUES)
+    image.SetSpacing((1.0, 2.0, 3.0))
+    SimpleITK.WriteImage(SimpleITK.JoinSeries([image]), str(tmp_path / "one.nii"))
+    volume = read_volume(tmp_path / "one.nii")
+    np.testing.assert_array_equal(volume.values, VALUES)
+    assert (volume.grid.size, volume.grid.spacing) == ((6, 5, 4), (1, 2, 3)) and read_grid(
+        tmp_path / "one.nii"
+    ).size == (6, 5, 4)
+    line = b"NRRD0004\ntype: float\ndimension: 1\nsizes: 6\nspacings: 1\nencoding: raw\nendian: little\n\n" + bytes(24)
+    refused(InputError, read_grid, laid(tmp_path, {"line.nrrd": line}) / "line.nrrd")
+    unreadable(tmp_path / "line.nrrd")
+
+
+def test_without_the_extra_it_is_named(tmp_path, monkeypatch):
+    write_array(tmp_path / "a.mha", UNIT, VALUES)
+    monkeypatch.setitem(sys.modules, "SimpleITK", None)
+    unreadable(tmp_path / "a.mha")
 
 
 def test_dirlab_raw(tmp_path):
@@ -145,9 +206,13 @@ def test_dirlab_raw(tmp_path):
     unreadable(file)
     read = read_volume(laid(tmp_path, {"meta.json": {"size": [4, 3, 2], "spacing": [0.97, 0.97, 2.5]}}) / "case.img")
     np.testing.assert_array_equal(read.values, values)
-    assert read.grid.spacing == (0.97, 0.97, 2.5)
+    assert read.grid == read_grid(file) == Grid((4, 3, 2), (0.97, 0.97, 2.5))
+    laid(tmp_path, {"case.hdr": bytes(348)})  # of Analyze 7.5, beside what says the same
+    np.testing.assert_array_equal(read_volume(file).values, values)
     file.write_bytes(values.tobytes()[:-2])
     unreadable(file)
+    for size, spacing in (([4, 0, 2], [1, 1, 1]), ([4, 3, 2], [1, -1, 1]), ([4, 3, 1 << 21], [1, 1, 1])):
+        unreadable(laid(tmp_path, {"meta.json": {"size": size, "spacing": spacing}}) / "case.img")
 
 
 def labels_of(values, regions=()):
@@ -197,6 +262,19 @@ def test_landmarks_that_are_no_pairs_are_said(tmp_path: Path):
     refused(InputError, true_errors, scene)
     np.savetxt(files["landmarks_fixed"], points[1:], delimiter=",")
     refused(InputError, true_errors, scene)
+
+
+def test_true_errors_below_zero_are_unknown(tmp_path: Path):
+    errors = np.abs(VALUES)
+    errors[0, 0, 0], errors[1] = -1, -2
+    for name, values in (("fixed", VALUES), ("error_true", errors), ("mask", np.float32(VALUES > 0))):
+        write_array(tmp_path / f"{name}.mha", UNIT, values)
+    files = {name: tmp_path / f"{name}.mha" for name in ("fixed", "error_true")}
+    truth, lines = warned(true_errors, VolumePairScene(name="a", folder=tmp_path, **files))
+    np.testing.assert_array_equal(truth.error, np.where(errors < 0, np.nan, errors))
+    assert len(lines) == 1 and "error_true.mha: 25.8 % of the voxels are negative" in lines[0]
+    truth, _ = warned(true_errors, VolumePairScene(name="a", folder=tmp_path, mask=tmp_path / "mask.mha", **files))
+    np.testing.assert_array_equal(truth.error, np.where((errors < 0) | (VALUES <= 0), np.nan, errors))
 
 
 def test_masks_and_scans_in_each_other_s_place_are_said(tmp_path: Path):

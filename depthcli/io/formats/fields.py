@@ -26,8 +26,9 @@ from depthcli.algorithms.resampling import nearest, trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
 from depthcli.io.formats.files import naming, open_regular, read_bytes, shown, warn
-from depthcli.io.formats.plain_text import numbers, points_of, text_of
+from depthcli.io.formats.plain_text import is_number, numbers, points_of, text_of
 from depthcli.io.formats.volumes import (
+    HEADER_BYTES,
     MAX_CHAIN,
     MAX_TRANSFORM_BYTES,
     initial_transform,
@@ -49,6 +50,7 @@ READINGS = {
 """Possible meanings of a field's numbers."""
 
 _SPLINES = {"control points": 3, "linear control points": 1}  # further meaning -> order of the B-spline
+_FRAME = re.compile(rb"^measurement frame:[ \t]*([^\r\n]*)", re.MULTILINE)  # in the header of NRRD
 _VELOCITIES = ("positions of a velocity field", "velocities", "control points of velocities")
 _NIFTYREG = ("positions", "niftyreg", "control points", *_VELOCITIES, "linear control points")  # by intent_p1
 
@@ -87,9 +89,11 @@ def read_field(path: Path, fixed: Grid) -> Field:
                 return _in_voxels(values.transpose(1, 2, 3, 0), fixed)
             named = _named_by_intent(header.GetMetaData("intent_name").strip(), header.GetMetaData("intent_p1"))
         elif suffix_of(path) in (".nrrd", ".nhdr"):
-            header, key = itk_header(path), "NRRD_measurement frame"
-            frame = " ".join(header.GetMetaData(key).split()) if header.HasMetaDataKey(key) else ""
-            if frame and frame != "(1,0,0) (0,1,0) (0,0,1)":
+            with open_regular(path) as file:  # SimpleITK does not print the numbers of the frame
+                found = _FRAME.search(file.read(HEADER_BYTES).partition(b"\n\n")[0])
+            frame = found[1].decode("latin-1") if found else ""
+            axes = [float(word) for word in re.findall(r"[^\s(),]+", frame) if is_number(word)]
+            if frame and axes != [1, 0, 0, 0, 1, 0, 0, 0, 1]:
                 raise InputError(
                     f"its vectors are in a measurement frame of their own ({frame[:100]}), which is not read"
                 )
@@ -175,8 +179,7 @@ def read_moving_transform(
         chain.append(read_transform(displacement, grids))
     elif displacement is not None:
         chain.append(_displacement(displacement, convention, fixed, moving, after))
-    if not chain:
-        raise InputError("neither a transform nor a displacement field")
+    assert chain
     combined = simple_itk().CompositeTransform(chain)
     if moving is not None:
         with naming(displacement or transform or ""):

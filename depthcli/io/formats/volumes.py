@@ -33,6 +33,9 @@ VOLUME_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img")
 MAX_TRANSFORM_BYTES = 1 << 30
 """Largest size of a transform file; B-spline parameters as text may be long."""
 
+HEADER_BYTES = 1 << 20
+"""Start of a MetaImage or NRRD file, which contains its header."""
+
 MAX_CHAIN = 100
 """Largest number of chained elastix transforms; a registration has two or three."""
 
@@ -45,7 +48,6 @@ _MAX_SPACING = 1e12  # mm; the smallest is 1e-12; float32 can represent the squa
 _NIFTI_FLOATS = {"16": "f4", "64": "f8"}  # the header's datatype -> dtype
 _SLICE_POSITION = "0020|0032"  # DICOM's Image Position (Patient)
 _MAX_UNEVENNESS = 0.05  # largest relative difference of slice distances; a missing slice doubles one of them
-_HEADER_BYTES = 1 << 20  # start of a MetaImage or NRRD file, which contains its header
 _DATA_FILE = re.compile(rb"^(?:ElementDataFile\s*[=:]|data ?file:)[ \t]*([^\r\n]+)\r?\n?((?:[^\r\n]+\r?\n?)*)", re.M)
 _INITIAL = re.compile(r'^\s*\(InitialTransformParameters?FileName\s+("[^"\n]*"|[^\s)]+)', re.MULTILINE)
 _MAX_LINE = 250  # characters per line in a MetaImage header; the library copies longer lines unchecked
@@ -213,7 +215,7 @@ def itk_header(path: Path) -> Any:
         raise InputError(f"no volume of a kind that is read; expected {' '.join(VOLUME_SUFFIXES)}")
     if kind in (".mha", ".mhd"):
         with open_regular(path) as stream:
-            header = stream.read(_HEADER_BYTES).partition(b"ElementDataFile")[0]
+            header = stream.read(HEADER_BYTES).partition(b"ElementDataFile")[0]
         if any(len(line) > _MAX_LINE for line in header.splitlines()):
             raise InputError(f"a line of over {_MAX_LINE} characters in its header")
     for file in (path, *volume_files(path)):
@@ -437,7 +439,7 @@ def volume_files(path: Path) -> tuple[Path, ...]:
         return ()
     found = None
     with contextlib.suppress(InputError), open_regular(path) as file:  # reading the volume reports the problem
-        found = _DATA_FILE.search(file.read(_HEADER_BYTES))
+        found = _DATA_FILE.search(file.read(HEADER_BYTES))
     name = os.fsdecode(found[1]).strip() if found else "LOCAL"
     if found and name.split()[0] == "LIST":
         return tuple(path.parent / each.strip() for each in os.fsdecode(found[2]).splitlines() if each.strip())
