@@ -31,7 +31,7 @@ from depthcli.commands import config_model
 from depthcli.commands._options import Printing
 from depthcli.core.config_file import THESIS, list_presets, load_config
 from depthcli.core.config_file import presets as all_presets
-from depthcli.core.errors import ConfigError
+from depthcli.core.errors import ConfigError, OutputError
 from depthcli.core.method import Method
 from depthcli.core.text import show_bytes
 from depthcli.core.yaml_source import to_yaml
@@ -168,7 +168,8 @@ def _compile(patterns: Sequence[str], reporter: Reporter) -> int:
     begun, failed = time.monotonic(), 0
     with tempfile.TemporaryDirectory() as place, ThreadPoolExecutor(os.cpu_count()) as processes:
         for command in {command for command, _ in presets}:
-            _run(["sample", *_SCENES.get(command, []), "-o", f"{place}/{command}"])
+            if error := _run(["sample", *_SCENES.get(command, []), "-o", f"{place}/{command}"]):
+                raise OutputError(f"no scene for {command}: {error}")
         runs = [
             [command, name, "-i", f"{place}/{command}", "-o", f"{place}/runs/{command}/{name}{option}", *option.split()]
             for command, name in presets
@@ -198,4 +199,5 @@ def _run(words: Sequence[str]) -> str:
     done = subprocess.run(
         command, capture_output=True, text=True, check=False, env=os.environ | {"NUMBA_NUM_THREADS": "1"}
     )
-    return done.stderr.strip() or f"exit code {done.returncode}" if done.returncode else ""
+    said = done.stderr.strip().removeprefix("depthcli: ")
+    return said or f"exit code {done.returncode}" if done.returncode else ""

@@ -6,6 +6,7 @@ import re
 import shlex
 import shutil
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from PIL import Image
 import depthcli
 from depthcli.cli import command_of, main
 from depthcli.commands import config_model, find, own_names, text_of
+from depthcli.commands import presets as presets_command
 from depthcli.commands._options import PairOptions, RunOptions, parse_bytes
 from depthcli.commands._run import job_and_scenes
 from depthcli.core import plugins
@@ -95,6 +97,46 @@ def test_presets_are_listed_and_shown(tool):
     assert {line.split()[0] for line in tool.out(0, "presets", "fuse").splitlines() if line} == {"fuse"}
 
 
+def test_compile_computes_each_preset_that_a_pattern_names(tmp_path: Path, monkeypatch, tool):
+    """Bounds have kernels of their own; a preset without bounds fails with them, and that is no failure."""
+    computed: list[list[str]] = []
+
+    def computes(words: list[str]) -> str:
+        computed.append([word for word in words if not word.startswith(tempfile.gettempdir())])
+        return "broken" if words[:2] == ["transparent", "nearest"] or words[-1] == "--bound" else ""
+
+    laid(tmp_path / "kernels", {"a/x.kernel": bytes(3 << 20), "y.kernel": bytes(1 << 20)})
+    monkeypatch.setattr("depthcli.kernels.cache.cache_folder", lambda: tmp_path / "kernels")
+    monkeypatch.setattr(presets_command, "_run", computes)
+    out, err = tool.both(1, "presets", "compile", "stereo/opencv-sgbm*", "nearest", "-q")
+    assert out == f"{tmp_path / 'kernels'}: 4 MiB\n" and err == "transparent nearest: broken\n"
+    assert sorted(computed) == [
+        ["refine-kinect", "nearest", "-i", "-o"], ["sample", "--kinect", "-o"], ["sample", "--transparent", "-o"],
+        ["sample", "-o"],
+        ["stereo", "opencv-sgbm", "-i", "-o"], ["stereo", "opencv-sgbm", "-i", "-o", "--bound"],
+        ["stereo", "opencv-sgbm-wls", "-i", "-o"], ["stereo", "opencv-sgbm-wls", "-i", "-o", "--bound"],
+        ["transparent", "nearest", "-i", "-o"],
+    ]  # fmt: skip
+    assert tool.out(0, "presets", "compile", "stereo/fast", "-q") == out
+    computed.clear()
+    assert "no preset called 'stereo/fst'" in tool.err(2, "presets", "compile", "fast", "stereo/fst")
+    monkeypatch.setattr("depthcli.kernels.cache.cache_folder", lambda: None)
+    assert "NUMBA_CACHE_DIR" in tool.err(2, "presets", "compile", "fast")
+    assert computed == []
+
+
+@pytest.mark.slow
+def test_compile_fills_the_folder_of_kernels_by_processes(tmp_path: Path, monkeypatch, tool):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("depthcli.kernels.cache.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(presets_command, "_BOUNDED", ())
+    monkeypatch.setitem(presets_command._SCENES, "stereo", ["-n", "1", "--width", "64", "--max-disparity", "9"])
+    err = tool.err(0, "presets", "compile", "opencv-sgbm")
+    assert re.fullmatch(r"1 of 1 compiled, \d+ s: stereo opencv-sgbm\n", err) and list(tmp_path.rglob("*.kernel"))
+    monkeypatch.setitem(presets_command._SCENES, "stereo", ["-n", "1", "--width", "64"])
+    tool.told(2, "presets", "compile", "opencv-sgbm")
+
+
 WRONG = {
     "stereo opencv-sgmb -i . -o x": "did you mean 'opencv-sgbm'?",
     "stereo absent.yaml -i . -o x": "absent.yaml: neither a file nor a preset",
@@ -128,12 +170,22 @@ WRONG = {
     "sample -o x --max-disparity 300": "at most width / 2 = 200",
     "sample -o x --kinect --width 64": "--width: at least 96",
     "sample -o x --real --count 3": "--count has no effect on real scenes",
+    "sample -o x --registration --kinect": "--kinect and --registration exclude each other",
     "sample -o s3://bucket/out": "not to URLs",
     "evaluate run --truth scenes -o -": "stdout",
+    "evaluate . --truth . --resize 3x0": "--resize: expected WIDTHxHEIGHT, such as 256x144 (got '3x0')",
     "export run --for eth3d --method m -o -": "stdout",
+    "export run --for eth4d --method m -o a.zip": "no benchmark called 'eth4d'; one of: middlebury-v3",
+    "export run --for eth3d --method m -o a.zip --split val": "--split: must be training or test (got 'val')",
+    "export run --for eth3d --method m -o a.zip": "run: no such folder",
     "calibrate . --board 9x6 -o -": "stdout",
     "calibrate . --board 9x6 --square 25mm -o c.yml": "no photos",
     "calibrate . --board 9by6 --square 25mm -o c.yml": "--board: expected 9x6 (inner corners)",
+    "calibrate . --board 2x2 --square 25mm -o c.yml": "2x2 has too few or too many corners",
+    "calibrate . --board 9x6 --square 2cm --marker 1cm -o c.yml": "--marker and --dictionary describe a ChArUco board",
+    "calibrate . --board charuco:7x5 --square 2cm --marker 20mm -o c.yml": "20mm is not smaller than a square of 2cm",
+    "calibrate . . . --board 9x6 --square 2cm -o c.yml": "PHOTOS: one folder, or one of each camera",
+    "calibrate . --board 9x6 --square 2cm -o c.json": "expected FILE.yml (got c.json)",
     "calibrate . --board 9x6 --square 25 -o c.yml": "a length with its unit, such as 25mm (got '25')",
     "calibrate . --board charuco:7x5 --square 25mm -o c.yml": "--marker 18mm",
     "calibrate . --board charuco:30x20 --square 2cm --marker 1cm -o c.yml": "4X4_50 has 50 markers, the board 300",
@@ -142,6 +194,7 @@ WRONG = {
     "rectify --left l --right r -o x --calibration a --uncalibrated": "give --calibration FILE, or --uncalibrated",
     "depth run -o x --focal 700": "--focal and --baseline belong together",
     "depth run -o x --focal 700 --baseline 1 --calibration c": "exclude each other",
+    "depth run -o x --focal 700 --baseline 1 --unit mm": "--unit and --focal exclude each other",
     "depth run -o x --mask sure": "mask: must be measured, all, or confident",
     "depth run -o x --near 3 --far 1": "--near 3, --far 1: no depth",
     "refine-kinect nearest --color c.png -o x": "--color needs --depth",
@@ -149,8 +202,10 @@ WRONG = {
     "refine-kinect nearest -i . -o x --within 7": "--within: should be less than or equal to 1",
     "confidence -i . --maps m -o x --share 0.8 --threshold 0.5": "--share and --threshold exclude each other",
     "confidence -i . --maps m -o x --keep 0.8": "the share of the surest pixels is --share 0.8",
+    "confidence -i . --maps m -o x --max-disparity 0": "--max-disparity: expected a whole number from 1",
     "confidence -i . --maps m -o x --measure sharpness": "--measure: no measure called 'sharpness'; one of: all, left",
     "fuse accurate -i . --maps a -o x": "--maps goes with depthcli fuse maps",
+    "fuse maps -i . -o x": "--maps: give 1 to",
     "fuse maps -i . --maps a -o x --set p=1": "--set does not go with fuse maps",
     "fuse maps -i . --maps a -o x --min-disparity 3": "--min-disparity does not go with fuse maps",
     "register-confidence mind --fixed a.nii -o x": "--fixed needs --warped",
