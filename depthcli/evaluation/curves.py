@@ -131,11 +131,8 @@ class Reliability:
     @property
     def ece(self) -> float:
         """Expected calibration error: mean over pixels of |confidence - share correct| of their bins, 0 .. 1."""
-        total = sum(self.pixels)
-        if not total:
-            return math.nan
         parts = zip(self.pixels, self.confidence, self.right, strict=True)
-        return math.fsum(n * abs(c - r) for n, c, r in parts if n) / total
+        return math.fsum(n * abs(c - r) for n, c, r in parts if n) / sum(self.pixels)
 
     @classmethod
     def of_sums(cls, counts: NDArray[np.int64], confidence: NDArray[Any], right: NDArray[Any]) -> Reliability:

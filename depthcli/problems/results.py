@@ -99,7 +99,8 @@ def chosen_pixels(
     """
     if not isinstance(mask, str):
         if np.shape(mask) != found.values.shape or np.asarray(mask).dtype != np.bool_:
-            raise InputError(f"mask: expected bool of shape {found.values.shape}, got {np.shape(mask)}")
+            got = f"{np.asarray(mask).dtype} of shape {np.shape(mask)}"
+            raise InputError(f"mask: expected bool of shape {found.values.shape}, got {got}")
         return mask
     kind, share, name = mask_parts(mask)
     measured = found.measured

@@ -194,11 +194,15 @@ def test_witnesses_right_maps_and_evaluation(two_scenes: Path, maps: Path, tmp_p
 def test_python_speaks_of_keywords():
     left = np.random.default_rng(0).integers(0, 256, (40, 60), np.uint8)
     refused(depthcli.ConfigError, depthcli.map_confidence, left, left, np.ones((40, 60)), measures=["x"])
-    refused(depthcli.InputError, depthcli.map_confidence, left, left, np.ones((40, 59)))
+    refused(depthcli.ConfigError, depthcli.map_confidence, left, None, np.ones((40, 60)), witnesses=[left])
+    for wrong in (np.ones((40, 59)), np.ones((2, 40, 60)), np.full((40, 60), np.nan)):
+        refused(depthcli.InputError, depthcli.map_confidence, left, left, wrong)
+    refused(depthcli.InputError, depthcli.map_confidence, left, left, np.ones((40, 60)), max_disparity=0)
     refused(depthcli.InputError, depthcli.fuse_maps, left, left, [])
     found = depthcli.map_confidence(left, left, np.zeros((40, 60)), max_disparity=8)
     assert (found.probability > 0).all()  # 0 is a value
-    refused(depthcli.ConfigError, found.kept, 0.5, 0.5)
+    for shares in ((0.5, 0.5), (1.5,), (None, -0.1)):
+        refused(depthcli.ConfigError, found.kept, *shares)
     assert np.isfinite(found.kept(threshold=0.0)).all()
     assert np.count_nonzero(np.isfinite(found.kept(share=0.25))) >= 600
     assert np.isnan(found.kept(share=0.0)).all()

@@ -71,6 +71,7 @@ def test_infinite_and_unknown_confidences():
 def test_average_rank_agrees_with_scipy(rows, columns, seed):
     values = np.random.default_rng(seed).integers(0, 4, (rows, columns)).astype(float)
     np.testing.assert_allclose(average_ranks(values), rankdata(values, axis=0).mean(axis=1))
+    assert np.isnan(average_ranks(values[:, :0])).all()
 
 
 def test_paired_comparison():
@@ -112,7 +113,12 @@ def test_holm_corrects_all_pairs_together():
     ({"b": [v - 0.1 * v for v in NINE]}, "In most scenes b is significantly better", ["best", "better in most"]),
     ({name: [v + 1 + k / 7 + v / 99 for v in NINE] for k, name in enumerate("bc")},
      "a is significantly better than every other run.", ["best", "worse", "worse"]),
+    ({name: [v + 1 + k / 7 + v / 99 for v in NINE] for k, name in enumerate("bcde")}
+     | {"f": [v + (-1) ** k * k for k, v in enumerate(NINE, 1)]},
+     "a is significantly better than b, c, d and 1 more. No significant difference to f.",
+     ["best", *["worse"] * 4, "not significant"]),
     ({"b": [math.nan] * 9}, "No scene has a map of two runs", ["best", "no common scene"]),
+    ({}, "", ["best"]),
 ])  # fmt: skip
 def test_verdicts(others: dict[str, list[float]], said: str, words: list[str]):
     ranking = Ranking(["a", *others], {"a": NINE, **others})

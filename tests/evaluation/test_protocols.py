@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols import Settings, missing_scores, picture
-from depthcli.evaluation.protocols._disparity import DisparityProtocol, DisparityTruth, scale_warning
+from depthcli.evaluation.protocols._disparity import DisparityProtocol, DisparityTruth
 from depthcli.evaluation.protocols.depth import DepthTruth
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_background
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MapResult, Metric, Score, find_score, in_order
@@ -22,6 +22,7 @@ from depthcli.io.formats.images import write_png
 from depthcli.io.scenes import RgbdScene, StereoScene
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.io.stereo_pairs import StereoTruth
+from tests.files import laid
 from tests.golden import refused, saying, warned
 from tests.naive import metrics as naive
 from tests.scenes import DATA, needs_data
@@ -295,12 +296,14 @@ def test_kitti_regions():
 
 @pytest.mark.parametrize("name", STEREO)
 @pytest.mark.parametrize("factor", [16, 4, 256, 0.5, 1 / 16, -1])
-def test_wrong_scale_is_noticed(name, factor):
+def test_wrong_scale_is_noticed(name, factor, tmp_path):
     truth = random_maps(3, (40, 50))[1]
     estimate = truth + np.float32(0.3)
     judge, reference = make(name), replace(everywhere(truth), max_disparity=80)
-    assert scale_warning(judge.resized(estimate, reference), truth) is None
-    assert "times the truth" in scale_warning(judge.resized(estimate * np.float32(factor), reference), truth)
+    for values, is_said in ((estimate, False), (estimate * np.float32(factor), True)):
+        write_pfm(tmp_path / "m.pfm", values)
+        lines = warned(judge.read, tmp_path / "m.pfm", None, reference)[1]
+        assert any("times the truth" in line for line in lines) == is_said
 
 
 @pytest.mark.parametrize("name", STEREO)
@@ -415,6 +418,7 @@ def test_depth_by_hand():
          "bad 1 px": 75}, rel=1e-5,
     )  # fmt: skip
     assert judge.wrong(estimate, truth)[0].tolist() == [False, True, False, False, False, True]
+    assert make("depth", threshold=100.0).wrong(estimate, truth)[0].tolist() == [False] * 5 + [True]
 
 
 def test_codes_of_depth_have_the_scale_of_the_settings_or_of_the_truth(tmp_path):
@@ -424,6 +428,27 @@ def test_codes_of_depth_have_the_scale_of_the_settings_or_of_the_truth(tmp_path)
     assert make("depth").read(scene.depth, scene, truth).tolist() == [[0.5, 0.5]]
     assert make("depth", scale=500.0).read(scene.depth, scene, truth).tolist() == [[4.0, 4.0]]
     refused(InputError, make("middlebury-v2").truth, scene)
+    larger = DepthTruth(np.ones((2, 2), np.float32), {}, None, 4000.0)
+    refused(InputError, make("depth").read, scene.depth, scene, larger)
+    refused(InputError, make("depth").read_confidence, scene.depth, larger)
+    refused(InputError, make("depth").truth, StereoScene(name="b", folder=tmp_path, left=scene.depth))
+
+
+def test_depth_at_another_size(tmp_path):
+    """Every second pixel of maps, masks and confidences, from the first."""
+    grid = np.arange(1, 25, dtype=np.float32).reshape(4, 6)
+    folder = laid(tmp_path / "a", {
+        "color.png": np.zeros((4, 6, 3), np.uint8), "depth.pfm": grid, "depth_true.pfm": grid + 1,
+        "mask_object.png": grid > 12, "m.pfm": grid * 2,
+    })  # fmt: skip
+    (scene,) = discover_scenes(folder, ALL_KINDS)
+    judge = make("depth", resize=(3, 2))
+    truth = judge.truth(scene)
+    assert truth.depth.tolist() == [[2, 4, 6], [14, 16, 18]] and truth.regions["object"].tolist() == [[0] * 3, [1] * 3]
+    assert judge.read(folder / "m.pfm", scene, truth).tolist() == [[2, 6, 10], [26, 30, 34]]
+    assert judge.read_confidence(folder / "m.pfm", truth).tolist() == [[2, 6, 10], [26, 30, 34]]
+    laid(folder, {"depth_true.pfm": grid * np.nan})
+    refused(InputError, judge.truth, scene)
 
 
 def test_scene_flow_evaluates_disparities_below_192():

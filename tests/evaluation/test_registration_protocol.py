@@ -1,19 +1,24 @@
 """Figures of registration confidence against closed forms."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid
 from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.protocols import missing_scores, registration
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol, error_classes
 from depthcli.evaluation.scores import COMMON_MEAN, MEAN, MapResult
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
+from depthcli.io.formats.volumes import write_array
+from depthcli.io.scenes import StereoScene, VolumePairScene
 from depthcli.io.volume_pairs import RegistrationTruth
 from depthcli.report.tables import chosen_text
+from tests.golden import refused, warned
 
 
 def test_correlation_area_and_classes():
@@ -30,6 +35,21 @@ def test_correlation_area_and_classes():
 
 
 PROTOCOL = RegistrationProtocol()
+
+
+def test_truth_and_maps_that_cannot_be_used_are_refused(tmp_path: Path):
+    pytest.importorskip("SimpleITK")
+    grid, files = Grid((4, 3, 2), (1.0, 1.0, 1.0)), {name: tmp_path / f"{name}.mha" for name in ("fixed", "error_true")}
+    for file in files.values():
+        write_array(file, grid, np.full(grid.shape, -1, np.float32))  # unknown
+    scene = VolumePairScene(name="a", folder=tmp_path, **files)
+    refused(InputError, PROTOCOL.truth, StereoScene(name="b", folder=tmp_path, left=files["fixed"]))
+    warned(refused, InputError, PROTOCOL.truth, scene)
+    write_array(files["error_true"], grid, np.ones(grid.shape, np.float32))
+    write_array(tmp_path / "map.mha", replace(grid, spacing=(1.0, 1.0, 2.0)), np.ones(grid.shape, np.float32))
+    refused(InputError, PROTOCOL.read, tmp_path / "map.mha", scene, PROTOCOL.truth(scene))
+
+
 WIDE = (8, 250, 100)  # a volume whose last axis has a common divisor with any round step
 
 
@@ -83,6 +103,8 @@ def test_a_missing_pair_is_pooled_as_the_worst_points():
     empty = result("b", np.full(lost[1].shape, np.nan), lost[1])
     assert values(PROTOCOL.mean([full, empty])) == pytest.approx(pooled, nan_ok=True)
     assert [score.density for score in scores] == pytest.approx([100 * 2 / 3] * len(scores))
+    nothing = values(PROTOCOL.mean([result(name, None, true) for name, (_, true) in (("a", here), ("b", lost))]))
+    assert (nothing["Spearman"], nothing["accuracy"]) == (-1, 0) and np.isnan(nothing["TRE"])
 
 
 def test_what_a_run_lacks_changes_no_other_runs_figures():

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +43,13 @@ def test_the_numbers_of_a_sequence_are_means_of_the_frames_that_have_them(tmp_pa
     monkeypatch.setattr("depthcli.problems.frames.DepthProblem.compute", lambda *_: Outcome(dict(next(rows))))
     frames = tuple(RgbdScene(name=f"s/{k}", folder=tmp_path, color=None, depth=tmp_path) for k in range(2))
     job = RefineKinect(load_config(RefineKinectConfig, "sequence"))
-    found = job.compute(SequenceScene(name="s", folder=tmp_path, frames=frames), tmp_path, Context(1 << 30, "s"))
+    scene = SequenceScene(name="s", folder=tmp_path, frames=frames)
+    found = job.compute(scene, tmp_path, Context(1 << 30, "s"))
     assert found.facts == {"frames": 2, "frames_failed": 0, "density": 0.75, "median_bound": 0.25}
+    # Where the cameras stood is an input, too.
+    moved = [replace(frames[1], pose=(k * 0.5,) * 16) for k in (0, 1, 1)]
+    given = [job.settings(replace(scene, frames=(frames[0], frame))).get("poses") for frame in (frames[1], *moved)]
+    assert given[0] is None and given[1] != given[2] == given[3]
 
 
 def test_a_result_describes_itself_and_codes_are_depths_by_their_scale(made_kinect: Path):
@@ -101,10 +107,23 @@ def test_what_cannot_be_used_is_refused():
         (COLOR, DEPTH, {"depth_intrinsics": (1, 2, 3)}), (COLOR, DEPTH, {"depth_to_color": np.eye(4)}),
     ):  # fmt: skip
         refused(depthcli.InputError, depthcli.refine_depth, color, depth, "nearest", **cameras)
-    refused(depthcli.InputError, depthcli.complete_transparent, COLOR, DEPTH, preset="sparse")
-    refused(depthcli.InputError, depthcli.complete_transparent, COLOR, DEPTH)
+    for given in (
+        {"preset": "sparse"}, {}, {"infrared": COLOR[:4, :, 0], "fb": 50.0}, {"preset": "sensor"},
+        {"preset": "sensor", "objects": DEPTH > 0}, {"preset": "sensor", "objects": DEPTH > 1},
+    ):  # fmt: skip
+        refused(depthcli.InputError, depthcli.complete_transparent, COLOR, DEPTH, **given)
     refused(depthcli.ConfigError, depthcli.complete_transparent, COLOR, DEPTH, infrared=COLOR[..., 0])
     refused(depthcli.ConfigError, depthcli.refine_depth, COLOR, DEPTH, depth_scale=-1)
+    refused(depthcli.InputError, depthcli.refine_depth(COLOR, DEPTH, "nearest").to_points, mask=np.ones((8, 9)))
+
+
+def test_depth_without_color_has_the_camera_of_the_sensor():
+    depth = np.full((8, 9), 2.0, np.float32)
+    depth[3, 4] = np.nan
+    first, second = depthcli.refine_depth(None, [depth, depth / 2], "nearest", depth_intrinsics=(40, 50, 4, 3))
+    assert (first.values == 2).all() and (second.values == 1).all() and first.filled.sum() == 1
+    points = second.to_points("all").points.reshape(8, 9, 3)
+    np.testing.assert_allclose(points[5, 8], [(8 - 4) / 40, (5 - 3) / 50, 1], rtol=1e-6)
 
 
 def test_depth_of_its_own_camera_is_registered():
@@ -151,13 +170,30 @@ def test_wrong_volumes_are_refused_and_one_given_twice_is_said():
     given = {"fixed": FIXED, "warped": FIXED, "spacing": (1, 1, 1), "preset": "axes"}
     for wrong in (
         {"spacing": None}, {"warped": FIXED[:5]}, {"warped": np.where(FIXED > 0.9, np.nan, FIXED)},
-        {"fixed": np.zeros(SHAPE)}, {"mask": np.zeros(SHAPE)},
+        {"fixed": np.zeros(SHAPE)}, {"mask": np.zeros(SHAPE)}, {"fixed": FIXED[0, 0]}, {"spacing": (1, 0, 1)},
     ):  # fmt: skip
         with saying(depthcli.InputError):
             depthcli.registration_confidence(**given | wrong)
     for warped, is_said in ((FIXED.copy(), True), (np.roll(FIXED, 1, axis=2), False)):
         found = depthcli.registration_confidence(**given | {"warped": warped})
         assert any("the same" in line for line in found.warnings) == is_said
+    refused(depthcli.InputError, found.at, [1.0, 2.0, 3.0])
+    refused(depthcli.InputError, found.save, "nowhere", suffix=".dcm")
+    plain = replace(found, details=replace(found.details, shift=None), bounds={})  # of another program's pipeline
+    for name in ("shift", "bound"):
+        refused(depthcli.InputError, getattr, plain, name)
+
+
+def test_images_of_two_dimensions_are_volumes_of_one_slice():
+    sitk = pytest.importorskip("SimpleITK")
+    fixed, warped = (sitk.GetImageFromArray(np.roll(FIXED[0], k, axis=1)) for k in (0, 1))
+    for image in (fixed, warped):
+        image.SetSpacing((2.0, 3.0))
+        image.SetOrigin((-5.0, 7.0))
+        image.SetDirection((0.0, -1.0, 1.0, 0.0))
+    grid = depthcli.registration_confidence(fixed, warped, preset="axes").grid
+    assert (grid.size, grid.spacing, grid.origin) == ((9, 8, 1), (2, 3, 1), (-5, 7, 0))
+    assert grid.direction == (0, -1, 0, 1, 0, 0, 0, 0, 1)
 
 
 def of_wide(overrides: dict[str, Any]) -> Any:

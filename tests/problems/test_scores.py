@@ -83,6 +83,7 @@ def test_what_cannot_be_compared_is_refused_and_a_score_that_is_not_there_named(
     for arguments in (
         (TRUTH, TRUTH, "middlebury-v4"), *((TRUTH[:2], TRUTH, *of) for of in ([], ["registration"], ["depth"])),
         (TRUTH.astype(str), TRUTH), (TRUTH, TRUTH * np.nan), (TRUTH, TRUTH, "depth", {"gap": TRUTH[:3]}),
+        (TRUTH, TRUTH, "registration", {"all": TRUTH}),
     ):  # fmt: skip
         refused(depthcli.InputError, depthcli.evaluate, *arguments)
     refused(depthcli.InputError, depthcli.evaluate(TRUTH, TRUTH).value, "bad", "all")

@@ -11,7 +11,7 @@ import depthcli
 from depthcli.core import memory
 from depthcli.io.formats.images import read_image
 from tests.command_line import contents, in_threads, run
-from tests.golden import refused, saying
+from tests.golden import refused, saying, told
 
 Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 
@@ -68,6 +68,11 @@ def test_the_same_image_in_other_forms(pair: Images):
     expected = values(*deep)
     assert np.array_equal(values(*(image.astype(">u2") for image in deep)), expected)
     assert np.array_equal(values(*(image / 255 for image in pair)), expected)
+    scaled = depthcli.stereo(*(image.astype(np.uint16) * np.uint16(4) for image in pair), 12, "fast")
+    told("\n".join(scaled.warnings))  # 10 bits
+    np.testing.assert_allclose(scaled.values, values(*pair), atol=0.1)
+    black = [image > 127 for image in pair]
+    assert np.array_equal(values(*black), values(*(np.where(image, np.uint8(255), np.uint8(0)) for image in black)))
 
 
 def test_overrides_are_those_of_set(pair: Images):
@@ -75,6 +80,10 @@ def test_overrides_are_those_of_set(pair: Images):
     dotted = depthcli.load_config(depthcli.StereoConfig, "accurate", {"optimization.p2": 5})
     nested = depthcli.load_config(depthcli.StereoConfig, plain, optimization={"p2": np.float32(5)})
     assert dotted == nested != plain
+    step = nested.pipeline.optimization  # type: ignore[attr-defined]
+    assert depthcli.load_config(depthcli.StereoConfig, plain, optimization=step) == nested
+    volume = depthcli.load_config(depthcli.FuseConfig, "consensus", measures=["census", {"volume": Path("net.npy")}])
+    assert volume.volumes == {"net.npy"}
     whole = depthcli.load_config(depthcli.StereoConfig, plain, optimization={"method": "winner_takes_all"})
     assert whole.pipeline.optimization.method_name() == "winner_takes_all"  # type: ignore[attr-defined]
     given = depthcli.stereo(*pair, preset=plain, max_disparity=12)
@@ -101,6 +110,11 @@ def test_the_pair_gives_a_range_that_is_not_given(pair: Images):
     assert found.search == requested.search and found.key_points["range_matches"] > 16
     assert len(found.warnings) == len(requested.warnings) + 1
     assert f'"auto" was taken, which gives {found.search.max_disparity} px' in found.warnings[-1]
+    left = pair[0][..., 0]
+    behind = np.hstack([np.roll(left, -4, axis=1)[:, :60], np.roll(left, 3, axis=1)[:, 60:]])  # there at -3 pixels
+    found = depthcli.stereo(left, behind, "auto", "fast")
+    low = found.key_points["range_low"]
+    assert -8 <= low <= -3 and f"the images match at disparities down to {low}; " in found.warnings[-1]
 
 
 def test_volumes_made_elsewhere(pair: Images):

@@ -75,10 +75,6 @@ class Kitti2012Protocol(DisparityProtocol):
         """Return the ground truth; no other protocol fits it better."""
         return replace(super().truth(scene), looks_like="")
 
-    def lowest(self, truth: DisparityTruth) -> float:
-        """Return 0: negative values are missing, as in the kit."""
-        return 0.0
-
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return the values that a 16-bit PNG can store: codes 1 to 65535, 256 a pixel."""
         values = self.resized(estimate, truth)

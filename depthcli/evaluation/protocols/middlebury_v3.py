@@ -98,12 +98,8 @@ class MiddleburyV3Protocol(DisparityProtocol):
         with np.errstate(over="ignore"):
             return np.repeat(np.repeat(estimate * np.float32(factor), factor, axis=0), factor, axis=1)
 
-    def lowest(self, truth: DisparityTruth) -> float:
-        """Return -inf: every number is a value, because the SDK clips numbers below the range."""
-        return -math.inf
-
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """Return the estimate scaled up, clipped to the range, and rounded if the ground truth is."""
+        """Return the estimate scaled up, clipped to the range as by the SDK, and rounded if the ground truth is."""
         fitted = self.resized(estimate, truth)
         if truth.max_disparity is not None:
             factor = truth.values.shape[1] // estimate.shape[1]
