@@ -11,7 +11,7 @@ import pytest
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.io.formats.calibrations import read_geometry, read_rig
 from depthcli.io.formats.disparity import map_npy, read_plane
-from depthcli.io.formats.files import read_bytes, shown
+from depthcli.io.formats.files import read_bytes, short_path, shown
 from depthcli.io.formats.images import image_size, read_image
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.find import ALL_KINDS, chosen_scenes, discover_scenes
@@ -115,6 +115,14 @@ def test_a_name_that_is_not_utf8_is_read(tmp_path: Path):
     assert shown(path) == f"{tmp_path}/caf\\xe9\\n.bin"
     assert shown("\xfcber/日本.png") == "\xfcber/日本.png"
     assert str(DepthcliError(f"{path}\n\ud800")) == f"{tmp_path}/caf\\xe9\n.bin\n\\ud800"
+
+
+def test_names_too_long_for_file_systems_keep_their_ends():
+    first, second = (short_path(f"a/{'é' * 200}{middle}{'x' * 300}.png/b") for middle in "12")
+    parts = first.split("/")
+    assert first != second and [parts[0], parts[2]] == ["a", "b"]
+    assert parts[1].startswith("éé") and parts[1].endswith("x.png") and len(parts[1].encode()) <= 255
+    assert short_path(f"{'x' * 200}/é.png") == f"{'x' * 200}/é.png"
 
 
 @pytest.mark.skipif(hasattr(os, "getuid") and os.getuid() == 0, reason="root reads everything")

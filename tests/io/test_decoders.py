@@ -1,5 +1,6 @@
 """What decoders give is compared with the header: values of every layout of samples, or one clear line."""
 
+import struct
 import sys
 from pathlib import Path
 
@@ -13,7 +14,15 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import color8
 from depthcli.io.formats.disparity import read_mask, read_plane
 from depthcli.io.formats.files import collected_warnings
-from depthcli.io.formats.images import image_size, read_color8, read_grey, read_image, read_pair, write_png
+from depthcli.io.formats.images import (
+    image_size,
+    read_color8,
+    read_grey,
+    read_image,
+    read_pair,
+    read_two_frames,
+    write_png,
+)
 from depthcli.problems.inputs import as_color8
 from tests.golden import refused, warned
 
@@ -58,6 +67,7 @@ def test_what_is_no_image_is_said_with_what_is_expected(tmp_path: Path):
     for values, options in (
         (WIDE, several), ((WIDE >> 8).astype(np.uint8), several), ((GREY >> 8).astype(np.float16), {}),
         (RGB.astype(np.float32), {"photometric": "rgb"}), (GREY.astype(np.int16), {}),
+        (np.moveaxis(WIDE, -1, 0), {"photometric": "separated", "planarconfig": "separate"}),  # CMYK
     ):  # fmt: skip
         refused(InputError, read_image, stored(tmp_path, values, **options))
     refused(InputError, read_plane, stored(tmp_path, RGB.astype(np.float32), photometric="rgb"))
@@ -134,9 +144,19 @@ def test_the_rest_of_a_file_of_several_images_is_refused_or_named(tmp_path: Path
         refused(InputError, read_image, tmp_path / "g.png")
     frames[0].save(tmp_path / "m.jpg", "MPO", save_all=True, append_images=frames[1:])
     (tmp_path / "n.pgm").write_bytes(2 * (b"P5 2 1 255\n" + bytes([7, 9])))
-    for name, words in (("m.jpg", "3 images"), ("n.pgm", "bytes follow")):
-        _, lines = warned(read_image, tmp_path / name)
-        assert any(f"{name}: " in line and words in line for line in lines)
+    frames[0].save(tmp_path / "one.jpg")
+    data = (tmp_path / "one.jpg").read_bytes()
+    (tmp_path / "index.jpg").write_bytes(data[:2] + b"\xff\xe2\0\x0aMPF\0II*\0" + data[2:])  # damaged, and no matter
+    for read, name, words in (
+        (read_image, "m.jpg", "3 images"), (read_image, "n.pgm", "bytes follow"), (read_grey, "n.pgm", "bytes follow"),
+        (read_two_frames, "m.jpg", "3 images"), (read_image, "index.jpg", ""),
+    ):  # fmt: skip
+        found, lines = warned(read, tmp_path / name)
+        assert [f"{name}: " in line and words in line for line in lines] == [True] * bool(words)
+        if read == read_two_frames:
+            for k in (0, 1):
+                assert np.abs(found[k][..., 0].astype(int) - np.roll(grey, k)).mean() < 20  # JPEG loses a little
+    refused(InputError, read_two_frames, tmp_path / "one.jpg")
 
 
 VALUES = np.random.default_rng(0).uniform(0.5, 3, (5, 7)).astype(np.float32)
@@ -161,7 +181,7 @@ def test_one_channel_of_values_of_an_exr(tmp_path: Path, dtype, names):
     assert not lines and image_size(path) == (5, 7)
 
 
-def test_the_channels_that_are_left_out_are_named_and_guesses_refused(tmp_path: Path, monkeypatch):
+def test_the_channels_that_are_left_out_are_named_and_guesses_refused(tmp_path: Path, monkeypatch, capfd):
     path = exr(tmp_path, R=VALUES, G=VALUES + 1, B=VALUES + 2, Z=VALUES + 3)
     found, lines = warned(read_plane, path)
     np.testing.assert_array_equal(found, VALUES + 3)
@@ -172,8 +192,21 @@ def test_the_channels_that_are_left_out_are_named_and_guesses_refused(tmp_path: 
     parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage}, {"Z": VALUES}, name=name) for name in ("left", "right")]
     OpenEXR.File(parts).write(str(path))
     refused(InputError, read_plane, path)
-    path.write_bytes(path.read_bytes()[:200])
+    whole = exr(tmp_path, Z=VALUES).read_bytes()
+    start = whole.index(b"dataWindow") + 21  # behind "dataWindow", "box2i" and a size
+    box, huge = struct.pack("<4i", 0, 0, 6, 4), struct.pack("<4i", 0, 0, 1 << 20, 1 << 20)
+    shown = whole.rindex(box)
+    assert whole[start : start + 16] == box and shown != start
+    for data in (
+        whole[:200], whole[:-20], whole[:start] + huge + whole[start + 16 :],
+        whole[:shown] + struct.pack("<4i", 0, 0, 9, 9) + whole[shown + 16 :],  # a part of a larger image
+    ):  # fmt: skip
+        path.write_bytes(data)
+        refused(InputError, read_plane, path)
+    halved = OpenEXR.Channel(VALUES[:4, :6].copy(), 2, 2)  # a value for each four pixels
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, {"Z": halved}).write(str(path))
     refused(InputError, read_plane, path)
+    assert capfd.readouterr() == ("", "")  # of the library
     path = exr(tmp_path, Z=VALUES)  # without the library the extra is named
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
     refused(InputError, read_plane, path)

@@ -4,6 +4,7 @@ import itertools
 import resource
 import struct
 import zlib
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -16,7 +17,7 @@ from depthcli.core.errors import InputError, OutputError
 from depthcli.core.maps import DepthStatus, Status
 from depthcli.io.formats import images
 from depthcli.io.formats.disparity import read_status, write_codes, write_status
-from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, write_text
+from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, flush, made, write_text
 from depthcli.io.formats.images import bits_said, image_size, read_grey, read_image, read_pair, write_png
 from depthcli.show.view import DEPTH_STATUS_PALETTE, MEASURED_CODE, STATUS_PALETTE, status_colors, status_words
 from tests import damage
@@ -83,13 +84,15 @@ def test_exif_orientation_is_applied_and_said(kind: str, orientation: int, tmp_p
     assert [f"({orientation})" in line for line in lines] == ([] if orientation == 1 else [True])
 
 
-def test_netpbm_plain_comments_and_big_endian(tmp_path: Path):
+def test_netpbm_plain_comments_and_big_endian(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "a.pgm"
     path.write_bytes(b"P2 # made by hand\n2 2\n# more\n300\n1 2\n3 300\n")
     np.testing.assert_array_equal(read_image(path), np.array([[1, 2], [3, 300]], np.uint16))
     path.write_bytes(b"P5\n2 1\n65535\n\x01\x02\x03\x04")
     np.testing.assert_array_equal(read_image(path), np.array([[258, 772]], np.uint16))
+    monkeypatch.setattr(images, "_MAX_TEXT_BYTES", 21)
     for broken in (b"P5\n2 2\n255\nabc", b"P5\n0 2\n255\n", b"P5\n2 2\n99999\nabcd", b"P5 2", b"P2\n1 1\n9\nx",
+                   b"P2\n2 2\n255\n100 100 1 2",
                    b"P4\n1 1\n\0", b"hello", b"\x76\x2f\x31\x01" + bytes(100)):  # fmt: skip
         path.write_bytes(broken)
         refused(InputError, read_image, path)
@@ -103,7 +106,7 @@ def test_png_of_codes_and_what_png_cannot_hold(tmp_path: Path):
     refused(InputError, read_grey, tmp_path / "a.png")
     write_png(tmp_path / "a.png", np.array([[True, False]]))
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), [[255, 0]])
-    for impossible in (array.astype(np.float32), np.dstack([array] * 4), array[0]):
+    for impossible in (array.astype(np.float32), np.dstack([array] * 4), array[0], np.zeros((1, 1_000_001), np.uint8)):
         refused(ValueError, write_png, tmp_path / "a.png", impossible)
 
 
@@ -222,7 +225,10 @@ def test_atomic_write_keeps_the_old_file_on_failure(tmp_path: Path):
         raise KeyboardInterrupt
     assert path.read_text() == "old"
     assert [p.name for p in path.parent.iterdir()] == ["a.txt"]
-    refused(OutputError, write_text, path / "below", "x")
+    for write in (partial(write_text, text="x"), made):
+        refused(OutputError, write, path / "below")
+    with pytest.raises(FileNotFoundError):
+        flush(path.with_name("none"))
 
 
 def test_every_reader_gives_the_codes_of_a_status_map(tmp_path: Path):

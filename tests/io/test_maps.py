@@ -14,6 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.errors import InputError
+from depthcli.io.formats import disparity
 from depthcli.io.formats.depth import SENSOR, implausible_depth, read_depth, write_depth_png, write_points
 from depthcli.io.formats.disparity import (
     ScaleError,
@@ -99,6 +100,8 @@ def test_bad_pfm(tmp_path: Path):
     ):  # fmt: skip
         (tmp_path / "bad.pfm").write_bytes(data)
         refused(InputError, read_disparity, tmp_path / "bad.pfm")
+    for write in (write_pfm, write_disparity_png):
+        refused(ValueError, write, tmp_path / "bad.pfm", PLANE[None])
 
 
 def test_codes_are_divided_by_their_scale(tmp_path: Path):
@@ -193,7 +196,7 @@ def test_masked_arrays_keep_their_mask():
     assert np.isnan(as_volume(np.ma.masked_less(np.ones((2, 3, 4)), 2), "volume")).all()
 
 
-def test_npy_and_npz(tmp_path: Path):
+def test_npy_and_npz(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "a.npy"
     np.save(path, np.array([[1.5, np.inf, np.nan]]))
     np.testing.assert_array_equal(read_disparity(path), [[1.5, np.nan, np.nan]])
@@ -219,6 +222,8 @@ def test_npy_and_npz(tmp_path: Path):
         found, lines = warned(read_plane, tmp_path / name)
         np.testing.assert_array_equal(found, PLANE)
         assert len(lines) == 1 and f"{name}: " in lines[0] and said in lines[0]
+    monkeypatch.setattr(disparity, "_MAX_UNPACKED_BYTES", 20)
+    refused(InputError, read_plane, tmp_path / "one.npz")
 
 
 def test_codes_and_meters_of_depth(tmp_path: Path):
@@ -237,9 +242,13 @@ def test_codes_and_meters_of_depth(tmp_path: Path):
     for name in ("a.pfm", "a.npy"):
         np.testing.assert_array_equal(read_depth(tmp_path / name), wanted)
         np.testing.assert_array_equal(read_depth(tmp_path / name, 1000), wanted / 1000)
-    for bad in (np.array([[-1]]), np.array([[70000]]), np.array([[1.5]])):
-        np.save(tmp_path / "bad.npy", bad)
+    for bad in ([[-1]], [[70000]], [[1.5]], [[2048 + 8]]):  # the last one in either byte order
+        np.save(tmp_path / "bad.npy", np.array(bad))
         refused(InputError, read_kinect_raw, tmp_path / "bad.npy")
+    np.save(tmp_path / "swapped.npy", np.array([[917, 2047]], np.uint16).byteswap())
+    np.testing.assert_array_equal(read_kinect_raw(tmp_path / "swapped.npy"), [[917, 2047]])
+    np.save(tmp_path / "bad.npy", np.array([[True]]))
+    refused(InputError, read_depth, tmp_path / "bad.npy")
 
 
 def test_depths_that_no_such_sensor_sees_have_a_hint():

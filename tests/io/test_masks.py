@@ -52,6 +52,9 @@ def test_masks_of_middlebury_jpeg_and_labels(tmp_path: Path):
         found, lines = warned(read_mask, tmp_path / name)
         np.testing.assert_array_equal(found, INSIDE)
         assert [name in line for line in lines] == [True] * is_said
+    for value in (-1, np.nan, np.inf):
+        laid(tmp_path, {"m.npy": np.where(INSIDE, 1, value)})
+        refused(InputError, read_mask, tmp_path / "m.npy")
 
 
 def test_an_empty_mask_fails_the_glass_and_is_said_in_evaluation(tmp_path: Path):

@@ -12,6 +12,7 @@ from PIL import Image
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.images import write_png
+from depthcli.io.formats.videos import read_frame
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.find import discover_scenes, named_scenes
 from depthcli.io.scenes.frames import FRAMES
@@ -128,6 +129,8 @@ def test_videos(tmp_path: Path, tool):
 
 def test_videos_of_two_rates_are_refused_and_of_two_lengths_warned_of(tmp_path: Path):
     left = video(tmp_path / "l.avi", 0, 3, rate=30)
+    refused(InputError, read_frame, left, 3)
+    assert read_frame(left, 2).shape == (64, 96, 3)
     for rate, is_refused in ((29.97, False), (30, False), (15, True), (25, True)):
         files = {"left": left, "right": video(tmp_path / "r.avi", 6, 3, rate=rate)}
         if is_refused:

@@ -53,14 +53,16 @@ def test_tables_whose_columns_are_not_known(tmp_path: Path):
     for text in (
         "a,b,c,d\n5.5,1,2,3\n", "fixed_x,fixed_y,fixed_z,moving_x,moving_y,moving_z\n1,2,3,4,5,6\n",
         "i,j,k\n1,2,3\n", "x_voxel,y_voxel,z_voxel\n1,2,3\n", "x,y\n1,2\n", "1,2,3\n1,2,abc\n", "x,y,z\n",
+        "1,2,3\n1,2,nan\n", "1,2,1e999\n", "1,2," + 140_000 * "3",
     ):  # fmt: skip
         (tmp_path / "a.csv").write_text(text)
         refused(InputError, read_landmarks, tmp_path / "a.csv", GRID)
 
 
 def test_landmarks_in_every_unit(tmp_path: Path):
-    for text, raw in (("z,y,x\n35,24.5,11\n", False), ("index\n1\n1 3 2\n", False), ("2 4 3\n", True)):
-        (tmp_path / "a.txt").write_text(text)  # mm, voxels from 0 (elastix), and from 1 (DIR-Lab)
+    for text, raw in (("# Gefäß\n11,24.5,35", False), ("z,y,x\n35,24.5,11\n", False), ("index\n1\n1 3 2\n", False),
+                      ("2 4 3\n", True)):  # fmt: skip
+        (tmp_path / "a.txt").write_text(text, "latin-1")  # mm, voxels from 0 (elastix), and from 1 (DIR-Lab)
         assert read_landmarks(tmp_path / "a.txt", GRID, raw).tolist() == [[11, 24.5, 35]]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.io.formats.files import shown, warn
+from depthcli.io.formats.files import shown, silent, warn
 
 EXR_MAGIC = b"\x76\x2f\x31\x01"
 
@@ -30,7 +30,7 @@ def read_exr(path: Path | str) -> NDArray[Any]:
     """
     size, window = exr_sizes(path)
     try:
-        with _module().File(os.fspath(path), separate_channels=True) as file:
+        with silent(), _module().File(os.fspath(path), separate_channels=True) as file:
             n_parts = len(file.parts)
             channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
     except Exception as error:  # the library raises many kinds for damage
@@ -75,7 +75,7 @@ def exr_sizes(path: Path | str) -> tuple[tuple[int, int], tuple[int, int]]:
     Raise InputError if the file is damaged or too large.
     """
     try:
-        with _module().File(os.fspath(path), header_only=True) as file:
+        with silent(), _module().File(os.fspath(path), header_only=True) as file:
             windows = [file.header()[name] for name in ("dataWindow", "displayWindow")]
     except InputError:
         raise

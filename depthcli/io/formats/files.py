@@ -36,6 +36,7 @@ _END_BYTES = 40  # kept from the end of a longer name
 _MAX_START = 40  # characters kept at the start of a temporary name; the whole name may be too long
 _MAX_SHOWN = 400  # characters of a path in a message; the longest path has 4096
 _MAX_FLUSHES = 16  # threads that wait for the disk; a scene has about 6 files
+_one_silence = threading.RLock()  # a second thread would keep what the first one has put in its place
 _flushes = ThreadPoolExecutor(_MAX_FLUSHES, "flush")  # starts threads only when it gets work
 # Opening a pipe must not block, and a terminal must not become the controlling one.
 _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
@@ -97,6 +98,19 @@ def warnings_naming(path: Path | str) -> Iterator[None]:
     finally:
         for line in lines:
             warn(line if line.startswith(name) else name + line)
+
+
+@contextlib.contextmanager
+def silent() -> Iterator[None]:
+    """Drop what libraries print in the block: on standard output from Python, on standard error also from C++."""
+    with _one_silence, contextlib.ExitStack() as stack, open(os.devnull, "w", encoding="utf-8") as sink:
+        stack.enter_context(contextlib.redirect_stdout(sink))
+        with contextlib.suppress(OSError):  # there may be no standard error
+            saved = os.dup(2)
+            stack.callback(os.close, saved)
+            stack.callback(os.dup2, saved, 2)
+            os.dup2(sink.fileno(), 2)
+        yield
 
 
 @contextlib.contextmanager

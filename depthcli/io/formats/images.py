@@ -176,8 +176,6 @@ def _with_libraries(data: bytes, kind: str, header: _TiffHeader | None) -> tuple
     else:  # copy, since numba compiles kernels again for read-only arrays
         is_plain = mode in ("L", "RGB") or mode.startswith("I;16")
         pixels = np.array(image if is_plain else image.convert("L" if mode in ("1", "LA", "La") else "RGB"))
-    if pixels.dtype.kind != "u" or pixels.dtype.itemsize > 2 or mode == "F":
-        raise InputError("samples of 32 bit, or signed ones; expected 8 or 16 bit")
     is_deep = is_wide or mode.startswith("I") if header is None else header.bits > 8
     _check_decoded(pixels, size, 1 if bands <= 2 and mode != "P" else 3, 16 if is_deep else 8)
     return pixels, turn

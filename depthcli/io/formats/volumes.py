@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
-from depthcli.io.formats.files import atomic_path, naming, open_regular, read_bytes, shown
+from depthcli.io.formats.files import atomic_path, naming, open_regular, read_bytes, shown, silent
 from depthcli.io.formats.images import IMAGE_SUFFIXES, image_size, read_grey
 from depthcli.io.formats.plain_text import json_object, numbers, text_of
 
@@ -265,21 +265,15 @@ def _unknown_in_nifti(path: Path, reader: Any) -> NDArray[np.float32] | None:
 @contextlib.contextmanager
 def library_errors() -> Iterator[None]:
     """Turn any error of SimpleITK into an InputError of one line, and drop the output of its C++ code."""
-    with contextlib.ExitStack() as stack:
-        with contextlib.suppress(OSError):  # there may be no standard error
-            saved = os.dup(2)
-            stack.callback(os.close, saved)
-            stack.callback(os.dup2, saved, 2)
-            with open(os.devnull, "wb") as sink:
-                os.dup2(sink.fileno(), 2)
-        try:
+    try:
+        with silent():
             yield
-        except InputError:
-            raise
-        except Exception as error:  # RuntimeError, TypeError, and UnicodeDecodeError from its messages
-            lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
-            reason = next((line.partition("ERROR: ")[2] or line for line in lines if "ERROR" in line), lines[-1])
-            raise InputError(f"cannot be read ({reason.partition('): ')[2] or reason})"[:300]) from None
+    except InputError:
+        raise
+    except Exception as error:  # RuntimeError, TypeError, and UnicodeDecodeError from its messages
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
+        reason = next((line.partition("ERROR: ")[2] or line for line in lines if "ERROR" in line), lines[-1])
+        raise InputError(f"cannot be read ({reason.partition('): ')[2] or reason})"[:300]) from None
 
 
 def _dirlab_grid(path: Path) -> Grid:
