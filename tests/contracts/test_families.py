@@ -1,6 +1,7 @@
 """What every member of a family promises, over the files of its folder."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +10,25 @@ import pytest
 
 from depthcli.commands._options import SampleOptions
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Floats, Image8
 from depthcli.core.method import Family
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
+from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
 from depthcli.methods.fusion.choice.energy import neighbor_weights
+from depthcli.methods.stereo.boundary.gaussian import Gaussian
 from depthcli.methods.stereo.cost.census import Census
+from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
+from depthcli.methods.stereo.refinement.median import Median
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.simulate.samples import SAMPLE_KINDS, sample_scenes
 from depthcli.simulate.stereo_scenes import KINDS
-from depthcli.testing import check_cost_measure
-from depthcli.testing.optimization import SMOOTHNESS_CHECKS, Smoothness
+from depthcli.testing import (
+    check_confidence_measure,
+    check_cost_measure,
+    check_optimizer,
+    check_refinement,
+    check_smoothness,
+)
 from tests.contracts.checks import CHECKS
 from tests.contracts.inputs import COMBINED
 from tests.contracts.layouts import check_layout
@@ -38,11 +49,6 @@ MEMBERS = [
     for check in checks
     if (name, check.__name__) != ("combined", "compares_levels_is_true")  # it compares what its parts compare
 ]
-
-
-@pytest.mark.parametrize("check", SMOOTHNESS_CHECKS, ids=lambda check: check.__name__)
-def test_smoothness_of_fused_maps(check: Callable[[Smoothness], None]):
-    check(lambda image: neighbor_weights(image, 4.0, 10.0, 0.1))
 
 
 @pytest.mark.parametrize(("package", "name", "check"), MEMBERS)
@@ -88,6 +94,38 @@ def test_what_breaks_a_promise_is_named(change: Callable[[CostVolume], CostVolum
 
     with pytest.raises(AssertionError, match=f"Broken fails {said}"):
         check_cost_measure(Broken())
+
+
+class Lowest(ConfidenceMeasure):
+    """The negated lowest cost."""
+
+    def __call__(self, curves: CostCurves) -> Map:
+        return -curves.statistics.lowest.astype(np.float32)
+
+
+class FusedMaps:
+    """The smoothness of fused maps, which is no method."""
+
+    def __call__(self, image: Image8) -> tuple[Floats, Floats]:
+        return neighbor_weights(image, 4.0, 10.0, 0.1)
+
+
+@pytest.mark.parametrize(("check", "member", "change", "said"), [
+    (check_confidence_measure, Lowest, lambda found: -found, "a_distinct_minimum_is_surer"),
+    (check_optimizer, WinnerTakesAll, lambda found: CostVolume(found.costs[..., ::-1].copy(), found.scale),
+     "unanimous_costs_keep_their_winner"),
+    (check_refinement, Median, lambda found: replace(found, values=found.values + 99), "tiny_maps_and_wide_ranges"),
+    (check_smoothness, Gaussian, lambda found: -found, "images_of_any_size_have_finite_costs .* negative"),
+    (check_smoothness, FusedMaps, lambda found: found[::-1], "images_of_any_size_have_finite_costs .* expected"),
+], ids=lambda value: getattr(value, "__name__", None))  # fmt: skip
+def test_public_checks_name_what_breaks_a_promise(check, member, change, said):
+    class Broken(member):
+        def __call__(self, *inputs):
+            return change(super().__call__(*inputs))
+
+    check(member())
+    with pytest.raises(AssertionError, match=f"Broken fails {said}"):
+        check(Broken())
 
 
 def test_layout_of_our_own_scenes(made_scenes: Path):

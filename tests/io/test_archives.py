@@ -88,6 +88,44 @@ def test_changed_archive_is_unpacked_again(tmp_path: Path, cache: Path) -> None:
     refused(InputError, discover_scenes, tmp_path, ALL_KINDS)  # a folder of archives names one
 
 
+def test_an_archive_of_too_many_members_and_a_cache_that_another_process_fills(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def slower(made: str, folder: Path) -> None:
+        shutil.copytree(made, folder)
+        raise OSError(39, "Directory not empty")
+
+    def full(made: str, folder: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    one, other = (_packed(scenes, tmp_path / name) for name in ("a.zip", "b.zip"))
+    monkeypatch.setattr(os, "rename", slower)
+    assert contents(local(one)) == contents(scenes)
+    monkeypatch.setattr(os, "rename", full)
+    refused(InputError, local, other)
+    monkeypatch.undo()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    left = local(other) / "s0/left.png"
+    assert origin(left) == str(other / "s0/left.png")
+    next(left.parents[2].glob("*.origin")).unlink()
+    assert origin(left) == str(left)
+    monkeypatch.setattr(places, "_MAX_MEMBERS", 7)
+    for archive in (_packed(scenes, tmp_path / "c.zip"), _packed(scenes, tmp_path / "c.tar")):
+        refused(InputError, local, archive)
+
+
+def test_urls_of_what_is_too_large_or_needs_another_package(scenes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    memory = pytest.importorskip("fsspec").filesystem("memory")
+    for file in _files(scenes):
+        memory.pipe(f"/large/{file.relative_to(scenes).as_posix()}", file.read_bytes())
+    memory.pipe("/large.zip", bytes(20))
+    monkeypatch.setattr(places, "_MAX_MEMBERS", 7)
+    monkeypatch.setattr(places, "_MAX_CACHE_BYTES", 19)
+    monkeypatch.setitem(sys.modules, "s3fs", None)
+    for url in ("memory://large", "memory://large.zip", "s3://large.zip"):
+        refused(InputError, local, url)
+
+
 def test_nothing_is_written_outside_and_links_are_not_made(scenes: Path, tmp_path: Path, cache: Path, caplog) -> None:
     with zipfile.ZipFile(_packed(scenes, tmp_path / "a.zip"), "a") as archive:
         for name in ("../out/left.png", "/etc/left.png", "s0/../../left.png", "..\\left.png", "C:/left.png"):

@@ -9,12 +9,12 @@ import pytest
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.io.scenes import Scene
+from depthcli.io.scenes import Folder, Scene
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.scenes.volumes import VOLUMES
 from tests.files import laid
-from tests.golden import refused
+from tests.golden import refused, warned
 from tests.scenes import DATA, load, needs_data, true
 
 GREY = np.arange(48, dtype=np.uint8).reshape(6, 8)
@@ -70,6 +70,9 @@ def test_own_layout(tmp_path: Path):
     assert list(truth.masks) == ["nonocc"] and truth.masks["nonocc"].sum() == 24  # 128 does not count
     assert names(folder, pattern="b*") == ["b"] and names(folder / "a") == ["a"]
     assert names(tmp_path, pattern="a") == ["set/a"]
+    (folder / "a/run.yaml").mkdir()  # a folder of a run has a file of that name
+    assert names(folder) == ["a", "b"]
+    refused(InputError, Folder, tmp_path / "none", "", "")
     own(folder / "c")
     assert [s.name for s in discover_scenes(folder, PAIRS, None, ["c", "a"])] == ["a", "c"]
     refused(InputError, discover_scenes, folder, PAIRS, None, ["a", "x"])
@@ -184,19 +187,25 @@ def test_kitti(tmp_path: Path):
 
 @pytest.mark.parametrize("meta", [
     [1], {"disp_scale": "4"}, {"disp_scale": 0}, {"max_disparity": -3}, {"max_disparity": 2.5}, {"disp_scale": True},
-    {"min_disparity": 4, "max_disparity": 4},
+    {"min_disparity": 4, "max_disparity": 4}, {"protocol": 3},
 ])  # fmt: skip
 def test_broken_meta(tmp_path: Path, meta):
     refused(InputError, find, own(tmp_path / "a", meta))
 
 
-@pytest.mark.parametrize("labels", [{"=": 1}, {"liver": 1, "lung": 1}, {"liver": 1.5}])
-def test_broken_names_of_labels(tmp_path: Path, labels: dict[str, float]):
-    laid(
-        tmp_path,
-        {"fixed.mha": "", "warped.mha": "", "mask_organs.mha": "", "meta.json": {"labels": {"organs": labels}}},
-    )
-    refused(InputError, discover_scenes, tmp_path, VOLUMES)
+def test_broken_names_of_labels_and_volumes_without_a_fixed_one(tmp_path: Path):
+    laid(tmp_path, {"a/fixed.mha": "", "a/moving_warped.mha": "", "a/mask_organs.mha": ""})
+    for labels in ({"organs": {"=": 1}}, {"organs": {"liver": 1, "lung": 1}}, {"organs": {"liver": 1.5}}, 3):
+        laid(tmp_path, {"a/meta.json": {"labels": labels}})
+        refused(InputError, discover_scenes, tmp_path / "a", VOLUMES)
+    laid(tmp_path, {"a/meta.json": {"labels": {"organs": {"liver": 2, "air": 0}, "bones": {"rib": 1}}}})
+    (scene,), lines = warned(discover_scenes, tmp_path, VOLUMES)
+    assert scene.labels == (("organs", (("liver", 2),)),)
+    assert len(lines) == 1 and "there is no mask_bones.*" in lines[0]
+    (tmp_path / "a/fixed.mha").unlink()
+    (scene,) = discover_scenes(tmp_path / "a", VOLUMES)
+    refused(InputError, load, scene)
+    refused(InputError, discover_scenes, laid(tmp_path / "b", {"fixed.txt": ""}), VOLUMES)  # which is no volume
 
 
 def test_what_is_said_where_nothing_fits(tmp_path: Path):
@@ -248,6 +257,8 @@ def test_layouts_of_a_users_file(tmp_path: Path):
     refused(ConfigError, find_by, "decode: x.png")  # no file, but a function that reads one
     refused(ConfigError, find_by, "right: 'other/b_{id}.*', max_disparity: far")
     refused(ConfigError, find_by, "masks: 'other/b_{id}.*'")
+    refused(ConfigError, find_by, "right: 3")
+    refused(ConfigError, find_by, "}\nother: {right: 'other/b_{id}.*'")
     write_png(tmp_path / "set/gt/8.png", COLOR)
     glass = find_by("right: 'other/b_{id}.*', mask.glass: 'gt/{id}.*'")
     assert [list(each.masks) for each in glass] == [[], ["glass"]]

@@ -14,7 +14,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.videos import read_frame
 from depthcli.io.scenes import StereoScene
-from depthcli.io.scenes.find import discover_scenes, named_scenes
+from depthcli.io.scenes.find import discover_scenes, find_scenes, named_scenes
 from depthcli.io.scenes.frames import FRAMES
 from depthcli.io.scenes.pairs import PAIRS, pairs_of_patterns, scenes_of_table
 from depthcli.io.stereo_pairs import load_views
@@ -65,7 +65,9 @@ def test_names_that_say_the_view(tmp_path: Path):
     assert named(tmp_path / "l", tmp_path / "r") == {"7": "cam_a_7.png other_7.png", "8": "cam_a_8.png other_8.png"}
     put(tmp_path, "x/cat.png", "y/dog.png")
     refused(ConfigError, pairs_of_patterns, tmp_path / "x", tmp_path / "y")
-    refused(ConfigError, pairs_of_patterns, tmp_path / "x/*.jpg", tmp_path / "y")
+    (tmp_path / "empty").mkdir()
+    for place in ("x/*.jpg", "empty"):
+        refused(ConfigError, pairs_of_patterns, tmp_path / place, tmp_path / "y")
     put(tmp_path, "x/1.png", "x/2.png", "x/2.jpg", "y/1.png", "y/2.png")
     assert named(tmp_path / "x", tmp_path / "y")["2"] == "- 2.png"  # no pair is made up
 
@@ -185,10 +187,25 @@ def test_both_views_in_one_file(tmp_path: Path, halves: str, tool):
         maps = [tmp_path / each / "a/disp_left.pfm" for each in ("o", output)]
         assert maps[0].read_bytes() == maps[1].read_bytes()
     if how:
+        laid(tmp_path, {"sets/b/a.png": left, "sets/c/a.png": left})  # whose names repeat
+        found = named_scenes(StereoScene, {"left": tmp_path / "sets/*/a.png", "halves": halves})
+        assert [(scene.name, scene.halves) for scene in found] == [("b_a", halves), ("c_a", halves)]
         for wrong in (("--halves", "right-left"), ("--right", both, *how)):
             tool.told(2, *line, "--left", both, *wrong, "-o", tmp_path / "r")
         write_png(both, np.zeros((41, 81), np.uint8))
         tool.told(3, *line, "--left", both, *how, "-o", tmp_path / "r")
+
+
+def test_options_that_do_not_go_together(tmp_path: Path):
+    put(tmp_path, "l.png", "r.png", "in/left/1.png", "in/right/1.png")
+    pair = {"input": None, "layout": None, "name": None, "left": tmp_path / "l.png", "right": tmp_path / "r.png"}
+    (scene,) = find_scenes(PAIRS, pair | {"name": "a"}, "--left")
+    assert (scene.name, scene.left) == ("a", tmp_path / "l.png")
+    folder = {"input": tmp_path / "in", "layout": None, "name": None}
+    assert [scene.name for scene in find_scenes(PAIRS, folder, "--left")] == ["1"]
+    refused(ConfigError, find_scenes, PAIRS, pair, "--left", with_truth=True)
+    for options in (pair | {"input": tmp_path / "in"}, folder | {"name": "a"}, folder | {"input": None}):
+        refused(ConfigError, find_scenes, PAIRS, options, "--left")
 
 
 def find(folder: Path) -> dict[str, StereoScene]:
@@ -206,6 +223,8 @@ def test_layouts_of_many_pairs_in_a_folder(tmp_path: Path):
     assert (scenes["0001"].max_disparity, scenes["0001"].min_disparity) == (9, -3)
     assert scenes["0001"].calibration == tmp_path / "views/calib.txt"
     assert "no right/0002.*" in scenes["0002"].problem and "no left/0003.*" in scenes["0003"].problem
+    put(tmp_path / "views/left", "0001.bmp")
+    refused(InputError, find, tmp_path / "views")
     put(tmp_path / "pairs", "0001_L.png", "0001_R.png", "0002_L.png", "notes.png")
     put(tmp_path / "both", "left/0001_L.png", "right/0001_R.png", "left/0002_L.png")
     for folder in ("pairs", "both"):

@@ -43,14 +43,15 @@ def find(folder: Path) -> list:
 
 
 def test_our_layout(tmp_path: Path):
-    meta = {"depth_scale": 2000, "intrinsics": {"fx": 500, "fy": 510, "cx": 4, "cy": 3}, "fb": 40}
+    pose = [[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]]
+    meta = {"depth_scale": 2000, "intrinsics": {"fx": 500, "fy": 510, "cx": 4, "cy": 3}, "fb": 40, "pose": pose}
     truth_files = {"depth_true.png": DEPTH * np.uint16(2), "mask_gap.png": DEPTH == 0}
     laid(tmp_path / "in/a", FRAME | truth_files | {"meta.json": meta})
     (scene,) = find(tmp_path / "in")
     assert (scene.name, scene.layout, scene.protocol, scene.has_truth) == ("a", "rgbd", "depth", True)
     frame, truth = load(scene), true(scene)
     assert np.isnan(frame.depth[0]).all() and (frame.depth[1:] == 1).all() and (truth.depth[1:] == 2).all()
-    assert (frame.fb, frame.intrinsics.fy) == (40, 510)
+    assert (frame.fb, frame.intrinsics.fy, frame.pose.tolist()) == (40, 510, pose)
     np.testing.assert_array_equal(truth.masks["gap"], DEPTH == 0)
     np.testing.assert_array_equal(load(replace(scene, depth_scale=1000)).depth[1:], 2)
     meters = np.where(DEPTH > 0, np.float32(1.5), np.float32(np.nan))
@@ -139,9 +140,13 @@ def test_tum_pairs_by_time(tmp_path: Path):
     for line in ("2.0 rgb/2.png 2.001 depth/a.png\n", "2.001 depth/a.png 2.0 rgb/2.png\n"):
         (tmp_path / "t/associations.txt").write_text(line)
         assert [(i.name, i.problem) for i in find(tmp_path)] == [("t/2.000000", "")]
-    (tmp_path / "t/associations.txt").write_text("2.0 rgb/2.png nonsense\n")
-    (broken,) = find(tmp_path)
-    assert "associations.txt:1: expected time file time file" in broken.problem
+    for line, said in (
+        ("# nothing\n", "t: no line pairs a color image"),
+        ("2.0 rgb/2.png nonsense\n", "associations.txt:1: expected time file time file"),
+    ):
+        (tmp_path / "t/associations.txt").write_text(line)
+        (broken,) = find(tmp_path)
+        assert said in broken.problem
 
 
 def poses_of(folder: Path) -> list:
@@ -236,7 +241,8 @@ def test_cameras_of_meta_json_that_cannot_be(tmp_path: Path):
     camera = {"fx": 20, "fy": 20, "cx": 15, "cy": 10}
     for meta in (
         {"depth_intrinsics": camera}, {"depth_intrinsics": {**camera, "fx": 0}}, {"depth_intrinsics": {"fx": 3}},
-        {"depth_to_color": 3}, {"depth_to_color": {"rotation": np.eye(3).tolist()}},
+        {"depth_intrinsics": [20, 20, 15, 10]}, {"depth_to_color": 3},
+        {"depth_to_color": {"rotation": np.eye(3).tolist()}},
     ):  # fmt: skip
         laid(tmp_path, {"meta.json": meta})
         refused(InputError, lambda: load(find(tmp_path)[0]))
@@ -352,6 +358,26 @@ def test_raw_depth_lies_on_the_checkerboards():
         own = abs(frame["kinect_minus_plane_median_mm"]) + 0.6745 * frame["kinect_minus_plane_std_mm"]
         assert distance <= own + 1.2
         assert distance < plain < distance + 5
+
+
+HERRERA = {
+    "depth_K": [[580, 0, 319.5], [0, 580, 239.5], [0, 0, 1]], "color_K": [[520, 0, 319.5], [0, 520, 239.5], [0, 0, 1]],
+    "depth_kc": [0] * 5, "color_kc": [0] * 5, "depth_to_color_R": np.eye(3).tolist(), "depth_to_color_t": [0] * 3,
+    "dc": [3.0, -0.0028], "dc_alpha": [1, 0.01],
+}  # fmt: skip
+
+
+def test_calibrations_of_a_kinect_that_cannot_be(tmp_path: Path):
+    frame = {"color.png": np.full((480, 640, 3), 90, np.uint8), "disparity.png": np.full((480, 640), 500, np.uint16)}
+    laid(tmp_path, frame | {"calib.json": HERRERA})
+    plain = rgbd_frames.read_kinect_calibration(tmp_path / "calib.json")
+    assert (plain.offset, plain.factor) == (pytest.approx(3 / 0.0028), pytest.approx(1 / 0.0028))
+    assert np.nanmedian(load(*find(tmp_path)).depth) == pytest.approx(1 / (3 - 0.0028 * 500), rel=1e-6)
+    laid(tmp_path, {"dc_beta.npy": np.zeros((48, 64))})
+    refused(InputError, load, *find(tmp_path))
+    for change in ({"dc": [3.0, 0]}, {"color_K": np.diag([520, 0, 1]).tolist()}, {"depth_kc": [0]}):
+        laid(tmp_path, {"calib.json": HERRERA | change})
+        refused(InputError, load, *find(tmp_path))
 
 
 K = [[190.0, 0, 20], [0, 190, 15], [0, 0, 1]]

@@ -105,10 +105,7 @@ def named_scenes(kind: type[Scene], options: Mapping[str, Any]) -> list[Scene]:
     for key, value in options.items():
         if isinstance(value, Path):
             values[key] = local(value)
-    for base, named in _NAMED:
-        if issubclass(kind, base):
-            return named(values)
-    return []
+    return next(named for base, named in _NAMED if issubclass(kind, base))(values)
 
 
 def scenes_at(
