@@ -19,7 +19,7 @@ import depthcli
 from depthcli.cli import command_of, main
 from depthcli.commands import config_model, find, own_names, text_of
 from depthcli.commands import presets as presets_command
-from depthcli.commands._options import PairOptions, RunOptions, parse_bytes
+from depthcli.commands._options import PairOptions, RunOptions, SceneOptions, parse_bytes
 from depthcli.commands._run import job_and_scenes
 from depthcli.core import plugins
 from depthcli.core.config_file import find_config, load_config
@@ -360,3 +360,10 @@ def test_the_largest_need_of_a_scene(two_scenes: Path, tmp_path: Path):
     program = [sys.executable, "-c", "pass", "{left}", "{right}", "{output}"]
     (tmp_path / "program.yaml").write_text(json.dumps({"pipeline": "command", "program": program}))
     assert needs(config=str(tmp_path / "program.yaml"))[1] is None
+    frame = dict.fromkeys(("color.png", "depth.png"), np.ones((30, 40), np.uint8))
+    laid(tmp_path / "in/a", frame | {"sparse.png": frame["depth.png"], "ir.png": frame["depth.png"]})
+    for command, config in (("refine-kinect", "fast"), ("transparent", "nearest"), ("transparent", "kinect")):
+        job, (scene,) = job_and_scenes(command, config, SceneOptions(input=tmp_path / "in"), options, ())
+        known, of = job.memory(scene), job.config.pipeline if command == "transparent" else job.config
+        assert known == of.peak_bytes((30, 40)), config
+        assert job.memory_bound(scene) == (None if config == "kinect" else known)

@@ -16,7 +16,7 @@ from depthcli.io.formats.disparity import read_pfm, read_status, write_disparity
 from depthcli.io.formats.images import read_image
 from tests.command_line import rows, run, vertices
 from tests.files import laid
-from tests.golden import refused
+from tests.golden import refused, told, warned
 
 V3 = """cam0=[713.189 0 56.021; 0 713.189 38.263; 0 0 1]
 cam1=[713.189 0 87.361; 0 713.189 38.263; 0 0 1]
@@ -79,9 +79,14 @@ def test_bounds_in_meters_and_the_points_within_one(matched: tuple[Path, Path], 
     assert len(vertices(tmp_path / "d" / SCENE / "points.ply")) == np.count_nonzero(wide <= 0.1) > 100
     assert rows(tmp_path / "d")[SCENE]["median_bound"] == pytest.approx(np.median(wide), abs=1e-3)
     left, right = (read_image(one / f"im{k}.png") for k in (0, 1))
-    found = depthcli.stereo(left, right, 12, "fast", bound=True).to_depth(one / "calib.txt")
+    again = depthcli.stereo(left, right, 12, "fast", bound=True)
+    found = again.to_depth(one / "calib.txt")
     np.testing.assert_array_equal(found.bound, wide)
     assert len(found.to_points("all", max_bound=0.1)) == np.count_nonzero(wide <= 0.1)
+    np.testing.assert_array_equal(again.to_points(one / "calib.txt").points, found.to_points().points)
+    assert repr(found.to_points()) == f"PointCloud({np.count_nonzero(found.measured)} points)"
+    (tmp_path / "far.txt").write_text(V3.replace("width=96\nheight=64\n", "").replace(" 56.021;", " 9000;"))
+    told("\n".join(warned(again.to_depth, tmp_path / "far.txt")[1]))
     tool.told(3, "depth", matched[1], "-o", tmp_path / "e", *limited)
 
 
@@ -136,6 +141,12 @@ def test_other_cameras_of_a_calibration_give_another_depth(tmp_path: Path):
         assert run("depth", tmp_path / "run", "-i", scenes, "-o", out, "-q") == 0
         np.testing.assert_allclose(read_pfm(out / "000000/depth.pfm"), depth, rtol=1e-6)
         shutil.rmtree(scenes / "image_0", ignore_errors=True)
+    # A data set without a file of calibration: TartanAir's 320 px at 640 x 480, and 0.25 m.
+    laid(tmp_path, {f"P/image_{side}/000000_{side}.png": np.zeros((48, 64), np.uint8) for side in ("left", "right")})
+    laid(tmp_path, {"run/000000/disp_left.pfm": np.full((48, 64), 4, np.float32)})
+    for more, depth in (((), 32 * 0.25 / 4), (("--focal", "10", "--baseline", "2"), 10 * 2 / 4)):
+        assert run("depth", tmp_path / "run", "-i", tmp_path / "P", "-o", out, "-q", "--overwrite", *more) == 0
+        np.testing.assert_allclose(read_pfm(out / "000000/depth.pfm"), depth, rtol=1e-6)
 
 
 def test_a_single_map_of_far_things(tmp_path: Path, tool):
@@ -162,6 +173,7 @@ def test_a_run_that_has_moved_and_a_scene_whose_map_is_gone(matched, tmp_path: P
     (scenes, run_folder), copy, made = matched, tmp_path / "moved", tmp_path / "run"
     shutil.copytree(run_folder / SCENE, copy / SCENE, ignore=shutil.ignore_patterns("record.json"))
     tool.told(3, "depth", copy, "-o", tmp_path / "a", "-q")
+    tool.told(3, "depth", copy, "-o", tmp_path / "p", "-q", "--ply", "--focal", "50", "--baseline", "0.1")
     assert run("depth", copy, "-o", tmp_path / "b", "-i", scenes, "--ply", "-q") == 0
     for nothing in (tmp_path / "absent", scenes):
         assert run("depth", nothing, "-o", tmp_path / "c") == 2

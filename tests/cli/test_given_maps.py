@@ -1,5 +1,6 @@
 """Commands on maps that were made before: confidence, fuse maps."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -10,9 +11,10 @@ import depthcli
 from depthcli.core.maps import Status
 from depthcli.io.formats.disparity import read_pfm, read_status, write_pfm
 from depthcli.io.formats.images import read_image
+from depthcli.problems.given_maps import peak_bytes
 from tests.command_line import contents, rows, run
 from tests.files import laid
-from tests.golden import refused
+from tests.golden import refused, told
 
 NAMES = ["foreground_0", "planes_0"]
 
@@ -161,7 +163,7 @@ def test_what_is_wrong_with_one_scene_fails_alone(two_scenes: Path, maps: Path, 
     tool.told(2, *words, "--pattern", "other={scene}.pfm")  # of no run
 
 
-def test_a_single_pair_and_a_scene_without_a_right_image(two_scenes: Path, maps: Path, tmp_path: Path):
+def test_a_single_pair_and_a_scene_without_a_right_image(two_scenes: Path, maps: Path, tmp_path: Path, tool):
     folder = two_scenes / NAMES[0]
     words = ("--left", folder / "left.png", "--right", folder / "right.png", "--maps", maps / f"{NAMES[0]}.pfm")
     assert run("confidence", *words, "-o", tmp_path / "one", "-q", "--keep", "probability.pfm") == 0
@@ -171,6 +173,12 @@ def test_a_single_pair_and_a_scene_without_a_right_image(two_scenes: Path, maps:
     assert run("confidence", *words, tmp_path / "out") == 0
     assert (tmp_path / "out" / NAMES[0] / "probability.pfm").is_file()
     assert run("fuse", "maps", *words, tmp_path / "fused") == 3
+    tool.told(3, "confidence", *words, tmp_path / "witnesses", "--witness", f"truth={two_scenes}")
+    one, given = ("confidence", "-i", two_scenes, "-q", "-o", tmp_path / "o", "--maps"), maps / f"{NAMES[0]}.pfm"
+    tool.told(2, *one, given)  # one map for both
+    planned = (*one, given, "--scenes", NAMES[0], "--dry-run", "--json", "--max-disparity")
+    low, high = (json.loads(tool.out(0, *planned, top))["scenes"][0]["memory"] for top in ("20", "90"))
+    assert high - low == peak_bytes((64, 96), 90, 1) - peak_bytes((64, 96), 20, 1) > 0
 
 
 def test_witnesses_right_maps_and_evaluation(two_scenes: Path, maps: Path, tmp_path: Path, tool):
@@ -206,6 +214,16 @@ def test_python_speaks_of_keywords():
     assert np.isfinite(found.kept(threshold=0.0)).all()
     assert np.count_nonzero(np.isfinite(found.kept(share=0.25))) >= 600
     assert np.isnan(found.kept(share=0.0)).all()
+    assert found._repr_png_().startswith(b"\x89PNG")
+    # Where the images tell nothing of the range, the maps do: 2 pixels of 2400 have a larger value.
+    flat, values = np.full((40, 60), 9, np.uint8), np.full((40, 60), 5.0)
+    values[0, :2] = 50
+    found = depthcli.map_confidence(flat, flat, values)
+    assert found.max_disparity == 5
+    told("\n".join(found.warnings))
+    found = depthcli.map_confidence(left, left, np.full((40, 60), np.nan), witnesses=[values], max_disparity=8)
+    told("\n".join(found.warnings))
+    assert np.isnan(found.values).all()
 
 
 def test_a_map_outside_of_what_the_images_allow_is_found_wrong(two_scenes: Path):

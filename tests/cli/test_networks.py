@@ -161,4 +161,6 @@ def test_a_scene_whose_volume_is_missing_or_damaged_fails_alone(scene: Path, tmp
     file = fuse_config(tmp_path, measures=[{"volume": "{scene}_costs.npy"}])  # a name may hold the scene
     err = tool.err(3, "fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q")
     assert all(word in err for word in ("no such file", "damaged/damaged_costs.npy", "(H, W, D)"))
+    lower = ("--scenes", "shifted", "--min-disparity", "1", "-o", tmp_path / "lower", "-q")
+    tool.told(3, "fuse", file, "-i", scene.parent, *lower)
     assert np.mean(read_pfm(tmp_path / "run" / "shifted" / "disp_left.pfm")[:, 12:] == 5) > 0.98

@@ -46,6 +46,18 @@ def test_a_sequence_is_one_item_and_resumes_with_the_same_bytes(made_kinect: Pat
     assert contents(b) == whole
 
 
+def test_a_frame_that_cannot_be_read_is_left_out_of_its_sequence(made_kinect: Path, tmp_path: Path, tool):
+    given = Path(shutil.copytree(made_kinect / "moving", tmp_path / "in" / "moving"))
+    command = ("refine-kinect", "sequence", "-i", tmp_path / "in", "-o", tmp_path / "r")
+    for numbers, code, left in (("1", 0, {"00000", "00002", "00003"}), ("0123", 3, set())):
+        for number in numbers:
+            (given / f"depth_0000{number}.pfm").write_bytes(b"damaged")
+        tool.told(code, *command)
+        assert {path.name for path in (tmp_path / "r" / "moving").glob("0*")} == left
+        row = rows(tmp_path / "r")["moving"]
+        assert (row.get("frames"), row.get("frames_failed")) == ((3, 1) if left else (None, None))
+
+
 def test_single_frames_and_frames_of_sequences_are_evaluated(made_kinect: Path, tmp_path: Path):
     scenes = ("--scenes", "planes", "--scenes", "moving/*", "--scenes", "static/*")
     assert run("refine-kinect", "realsense", "-i", made_kinect, *scenes, "-o", tmp_path / "r", "--evaluate", "-q") == 0

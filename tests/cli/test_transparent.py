@@ -19,6 +19,8 @@ def test_a_mask_of_the_objects_alone(made_glass, tmp_path, tool):
     command = ("transparent", "sensor", "-i", frame.parent, "-o", made.parent, "--overwrite", "-q")
     (frame / "sparse.pfm").unlink()
     tool.told(3, "transparent", "sparse", *command[2:-2])
+    (frame / "ir.png").unlink()
+    tool.told(3, "transparent", "kinect", *command[2:])
     assert run(*command, "--ply", "--intrinsics", "100,100,64,48") == 0
     row = rows(made.parent)["a"]
     assert "not of the objects" in str(row["warnings"]) and row["intrinsics"] == "of the camera"
