@@ -16,11 +16,12 @@ from depthcli.io.calibration_photos import find_photos
 from depthcli.io.formats.calibrations import read_rig
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.problems.boards import board_of
+from depthcli.problems.boards import CameraPhotos, _doubts, _with_rig
 from tests import boards
 from tests.boards import SIZE, SQUARE
 from tests.command_line import run
 from tests.files import laid
-from tests.golden import refused
+from tests.golden import refused, told
 
 pytestmark = pytest.mark.slow
 
@@ -148,6 +149,8 @@ def test_damaged_photos_are_left_out_and_said(few: Path, tmp_path: Path, tool) -
     out, err = tool.both(3, "calibrate", few, *CHESS, "-o", tmp_path / "c.yml")
     assert "left08.png" in err and "other.png: left out" in err
     assert "left cannot be read" in out and "60 x 50 pixels, not 640 x 480" in out
+    printed = tool.out(3, "calibrate", few, *CHESS, "-o", tmp_path / "c.yml", "--overwrite", "--json")
+    assert json.loads(printed) == json.loads((tmp_path / "c_report.json").read_text())
 
 
 def test_pairs_of_no_rig_are_refused(few: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tool) -> None:
@@ -214,6 +217,19 @@ def test_the_smallest_boards_are_found() -> None:
         assert found is not None and len(found) == (6 if marker else 9)
 
 
+def seen_pairs(true: Rig, n_pairs: int, n_places: int, noise: float) -> dict[str, tuple[Corners, Corners]]:
+    """The corners of a board in both views, at one place after the other."""
+    board, rng, places = Chessboard(9, 6, SQUARE), np.random.default_rng(0), list(boards.poses(6, EXTENT))
+    pairs = {}
+    for k in range(n_pairs):
+        turn, shift = places[k % n_places]
+        points = board.points @ turn.T + shift
+        seen = true.left.project(points), true.right.project(points @ true.rotation.T + true.translation)
+        one, other = (Corners(np.arange(54), each + rng.normal(0, noise, each.shape)) for each in seen)
+        pairs[str(k)] = one, other
+    return pairs
+
+
 @pytest.mark.parametrize(("n_pairs", "n_places", "noise", "longer", "is_refused"), [
     (6, 6, 0.01, 1.3, False),
     (3, 3, 0.01, 1.0, False),
@@ -222,13 +238,8 @@ def test_the_smallest_boards_are_found() -> None:
     (3, 1, 0.0, 1.0, True),  # copies, though the photos of each camera alone determine it
 ])  # fmt: skip
 def test_pairs_and_cameras_that_determine_a_rig(n_pairs, n_places, noise: float, longer: float, is_refused: bool):
-    board, true, rng = Chessboard(9, 6, SQUARE), boards.rig(), np.random.default_rng(0)
-    pairs, places = {}, list(boards.poses(6, EXTENT))
-    for k in range(n_pairs):
-        turn, shift = places[k % n_places]
-        points = board.points @ turn.T + shift
-        seen = true.left.project(points), true.right.project(points @ true.rotation.T + true.translation)
-        pairs[str(k)] = tuple(Corners(np.arange(54), each + rng.normal(0, noise, each.shape)) for each in seen)
+    board, true = Chessboard(9, 6, SQUARE), boards.rig()
+    pairs = seen_pairs(true, n_pairs, n_places, noise)
     cameras = [replace(each, matrix=np.diag([longer, longer, 1]) @ each.matrix) for each in (true.left, true.right)]
     residuals = {"0": np.full((54, 2), 0.02)}
     alone = tuple(CameraFit(each, None, {}, residuals, 30.0, {}) for each in cameras)
@@ -236,3 +247,28 @@ def test_pairs_and_cameras_that_determine_a_rig(n_pairs, n_places, noise: float,
         refused(InputError, fit_rig, board, pairs, alone)
     else:
         assert fit_rig(board, pairs, alone).rig.baseline == pytest.approx(0.12, rel=0.01)
+
+
+def test_rigs_and_cameras_that_are_doubtful() -> None:
+    """Views exchanged, one above the other, a board that moved, few photos of both; then cameras alone."""
+    board, rig = Chessboard(9, 6, SQUARE), boards.rig()
+    exchanged = Rig(rig.right, rig.left, rig.rotation.T, -rig.rotation.T @ rig.translation)
+    above = replace(rig, rotation=np.eye(3), translation=np.array([0.0, 0.12, 0.0]))
+    for taken, n_pairs, noise in ((exchanged, 6, 0.01), (above, 6, 0.01), (rig, 6, 0.1), (rig, 2, 0.01)):
+        pairs = seen_pairs(taken, n_pairs, n_pairs, noise)
+        views = []
+        for k, (side, camera) in enumerate((("left", taken.left), ("right", taken.right))):
+            views.append(CameraPhotos(side, side, SIZE, {name: pair[k] for name, pair in pairs.items()}))
+            views[-1].fit = CameraFit(camera, None, dict.fromkeys(pairs, 0.02), {"0": np.full((54, 2), 0.02)}, 30.0, {})
+        if n_pairs == 2:
+            refused(InputError, _with_rig, board, *views)
+        else:
+            found = _with_rig(board, *views)
+            told("\n".join(found.warnings))
+            assert len(found.row_errors) == (0 if taken is above else 6)
+    corner = Corners(np.arange(4), np.array([[1.0, 1], [70, 1], [1, 70], [70, 70]]))  # in 1 of 48 cells
+    for tilt, error, uncertainty in ((10.0, 0.5, 0.0), (30.0, 3.0, 0.01)):
+        view = CameraPhotos("left", "left", SIZE, {"0": corner})
+        residuals = {"0": np.full((4, 2), error)}
+        view.fit = CameraFit(rig.left, None, {"0": error}, residuals, tilt, {}, focal_uncertainty=uncertainty)
+        told("\n".join(_doubts(view)))
