@@ -93,7 +93,7 @@ def _view(run: RunWithoutTruth, scene: Scene) -> SceneView:
     protocol, presentation = run.protocol, run.protocol.presentation
     path = protocol.files.find(run.folder, [scene.name])
     if path is None:
-        raise InputError(f"no map there{protocol.files.searched([scene.name])}")
+        raise InputError("no map there")
     with collected_warnings():
         shown = presentation.show(path, scene, protocol.files)
         base = View(shown.values, presentation.unit, presentation.scale or scale_of(shown.values), axes=shown.axes)

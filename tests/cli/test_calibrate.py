@@ -15,8 +15,7 @@ from depthcli.core.errors import InputError
 from depthcli.io.calibration_photos import find_photos
 from depthcli.io.formats.calibrations import read_rig
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.problems.boards import board_of
-from depthcli.problems.boards import CameraPhotos, _doubts, _with_rig
+from depthcli.problems.boards import CameraPhotos, _doubts, _with_rig, board_of
 from tests import boards
 from tests.boards import SIZE, SQUARE
 from tests.command_line import run

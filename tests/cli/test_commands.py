@@ -192,6 +192,7 @@ WRONG = {
     "calibrate . --board charuco:7x5 --square 2cm --marker 1cm --dictionary 9X9 -o c.yml": "no 9X9",
     "rectify --left l --right r -o x": "give --calibration FILE, or --uncalibrated",
     "rectify --left l --right r -o x --calibration a --uncalibrated": "give --calibration FILE, or --uncalibrated",
+    "rectify -i . -o x --calibration c.yml --cameras 2,2": "cameras: must be two numbers such as 2,3",
     "depth run -o x --focal 700": "--focal and --baseline belong together",
     "depth run -o x --focal 700 --baseline 1 --calibration c": "exclude each other",
     "depth run -o x --focal 700 --baseline 1 --unit mm": "--unit and --focal exclude each other",

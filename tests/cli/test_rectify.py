@@ -372,6 +372,10 @@ def test_rectified_pairs_and_a_config_that_rectifies_on_the_fly(pinhole: Shot, t
     assert np.isfinite(depth).mean() > 0.6
     # A pixel is 6 to 12 % of the depth here: no bias, and a sixth of a pixel at most half of the time.
     assert abs(np.median(error)) < 0.004 and np.median(np.abs(error)) < 0.015 and np.mean(np.abs(error) < 0.04) > 0.93
+    # The truth beside the photos is of no rectified map.
+    truth = shutil.copytree(pinhole.left.parent, tmp_path / "true" / "room")
+    laid(truth, {"disp_left.pfm": np.ones(SIZE[::-1], np.float32)})
+    tool.told(0, "stereo", config, "-i", truth.parent, "-o", tmp_path / "false", "--max-disparity", "30")
     # The option says the same; what was made is kept until the calibration changes.
     tool.told(0, "stereo", "fast", *pinhole.words, "--calibration", file, "-o", tmp_path / "one")
     opencv(file, rig(strength=0.75))

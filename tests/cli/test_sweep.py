@@ -4,6 +4,8 @@ import csv
 import itertools
 import json
 import math
+import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,7 @@ from depthcli.core.errors import ConfigError
 from depthcli.evaluation.sweeps import combinations, effects, folder_names, parse_axes, value_text
 from depthcli.run.folder import FolderLock
 from tests.command_line import run
+from tests.files import laid
 from tests.golden import refused
 
 
@@ -100,6 +103,20 @@ def test_dry_runs_of_commands_without_a_config(two_scenes: Path, tmp_path: Path,
     for how in (("--calibration", tmp_path / "absent.yml"), ("--uncalibrated",)):
         tool.told(0, "rectify", "-i", two_scenes, *output, *how)
     assert not (tmp_path / "out").exists()
+
+
+def test_sweeps_without_truth_without_own_values_and_beside_other_files(two_scenes: Path, tmp_path: Path, tool):
+    scenes = shutil.copytree(two_scenes, tmp_path / "in", ignore=shutil.ignore_patterns("disp*"))
+    command = ("sweep", "opencv-bm", "-i", scenes, "-o", tmp_path / "a", "--over", "block=5,7")
+    tool.told(0, *command)
+    assert not (tmp_path / "a" / "sweep.csv").exists() and (tmp_path / "a" / "runs" / "block=7").is_dir()
+    laid(tmp_path / "b", {"sweep.csv": "mine"})
+    tool.told(2, *command[:4], "-o", tmp_path / "b", *command[6:])
+    config = laid(tmp_path, {"c.yaml": "pipeline: command\n"}) / "c.yaml"  # which of the programs is not said
+    program = f'program=["{sys.executable}","-c","1","{{left}}","{{right}}","{{output}}"]'
+    words = ("sweep", config, "-i", scenes, "-o", tmp_path / "c", "--dry-run", "--json", "--over")
+    rows = json.loads(tool.out(0, *words, program, "--over", "max_disparity=9,12"))["runs"]
+    assert [row["run"].rpartition(",")[2] for row in rows] == ["max_disparity=9", "max_disparity=12"]
 
 
 @pytest.mark.slow

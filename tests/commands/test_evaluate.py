@@ -16,13 +16,14 @@ import pytest
 from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.evaluation import protocols
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.evaluate import Choices, evaluate_runs, scenes_with_truth
+from depthcli.evaluation.evaluate import Choices, can_be_missed, evaluate_runs, scenes_with_truth
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.scores import MapResult, find_score
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image
 from depthcli.report.tables import Document, chosen_text, headline_text, report_tables
+from depthcli.run.console import Reporter
 from depthcli.run.records import Record, write_record
 from depthcli.show.view import EMPTY, NO_VALUE, RIGHT, WRONG, View, draw, kind_colors
 from tests.command_line import contents
@@ -106,6 +107,9 @@ def test_maps_of_other_programs_and_scene_names_without_their_data_set(tmp_path:
     report = evaluated([tmp_path / name for name in ("flat", "kit", "devkit")], truth)
     assert report.failed == [] and [bad(result, "nonocc") for result in report.results] == [0] * 6
     assert report.results[1].source == "a/disp0ours.pfm"
+    laid(tmp_path, {"kit/a/disp0other.pfm": GOOD, "unnamed/first.pfm": GOOD})
+    for name in ("kit", "unnamed"):
+        told("\n".join(result.error for result in evaluated([tmp_path / name], truth).failed))
     long = run_of(tmp_path / "long", {"set/a": GOOD, "set/b": GOOD})
     shutil.copytree(truth, tmp_path / "over" / "set")
     for where in (truth, tmp_path / "over"):
@@ -293,6 +297,7 @@ def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, tool):
     (tmp_path / "meta.json").write_text('{"disp_scale": 8}')
     assert bad(evaluated([tmp_path / "m.pfm"], plain, settings=Settings(threshold=3)).results[0], threshold=3) == 0
     refused(InputError, evaluated, [tmp_path / "m.pfm"], truth)
+    refused(InputError, evaluated, [tmp_path / "m.pfm"], plain, protocol="registration")
 
 
 @pytest.mark.parametrize(("name", "true", "protocol"), [
@@ -350,6 +355,7 @@ def test_a_folder_with_several_kinds_of_maps_is_refused(tmp_path: Path, truth: P
     others(folder, "{scene}/second.tiff")
     tool.told(2, *line)
     assert run_command(*line, "--pattern", "x={scene}/second.tiff") == 0
+    tool.told(0, *line[:-1], "--maps", "x={scene}/second.tiff")  # its former name
 
 
 def test_nothing_to_evaluate_and_options_that_do_not_fit(tmp_path: Path, truth: Path, tool):
@@ -362,7 +368,7 @@ def test_nothing_to_evaluate_and_options_that_do_not_fit(tmp_path: Path, truth: 
         ("--format", "latex", "--tables", "scenes", "--caption", "x"),
     ):  # fmt: skip
         tool.told(2, *line, *options)
-    for runs in ([], [tmp_path / "absent"], [truth, truth]):
+    for runs in ([], [tmp_path / "absent"], [truth, truth], [f"x={truth}", f"x={tmp_path}"]):
         refused(InputError, evaluated, runs, truth)
     for name in ("a", "b"):
         (truth / name / "disp_left.png").unlink()
@@ -459,3 +465,7 @@ def test_a_page_or_sheet_that_cannot_be_written_is_said_and_costs_no_scores(
         assert not json.loads((folder / "scores.json").read_text())["failed"]
         report = json.loads(tool.out(3, *command, "--json"))
         assert "evaluate" not in command or list(report["unwritten"]) == [missing]
+    unwritten: dict[str, str] = {}
+    with can_be_missed("report.html", unwritten, Reporter()):
+        raise ZeroDivisionError("of a fault")
+    assert unwritten == {"report.html": "ZeroDivisionError: of a fault"}

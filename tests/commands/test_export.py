@@ -1,5 +1,6 @@
 """Archives for the benchmarks: layouts, contents, and every reason to refuse."""
 
+import json
 import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -57,6 +58,11 @@ def test_middlebury_refuses_with_all_reasons(tmp_path: Path, tool):
     wide, negative = np.full((3, 1400), 5, np.float32), np.full((3, 700), -1, np.float32)
     for name, held in {"Piano": values, "Pipes": wide, "Recycle": negative, "Shelves": b"no map"}.items():
         laid(made / name, {"disp_left.pfm": held})
+    (made / "Playroom/disp_left.pfm").unlink()
+    rows = json.loads((made / "report.json").read_text())["scenes"]
+    rows[0] |= {"source": str(made / "Piano/left.png")}  # of another size
+    rows += [rows[1] | {"scene": "again/ArtL"}, {"scene": "Vintage", "status": "failed", "error": "too dark"}]
+    laid(made, {"report.json": {"scenes": rows}, "Piano/left.png": np.zeros((4, 700), np.uint8)})
     tool.told(2, *line(made, "middlebury-v3", tmp_path / "a.zip", "--method", "our name"))
     assert not (tmp_path / "a.zip").exists()
 

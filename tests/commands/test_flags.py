@@ -110,8 +110,10 @@ def test_regions_of_registrations_are_reported_and_flagged(pairs, tool):
 def test_labels_of_a_map_are_regions_of_their_own(pairs, tool):
     labels, names = np.zeros((40, 56, 56), np.uint8), pairs / "pair_1" / "meta.json"
     labels[:20], labels[20:30], labels[30:] = 1, 2, 7
-    for pair in ("pair_0", "pair_1"):
-        write_masks(pairs / pair, organs=labels)
+    write_masks(pairs / "pair_0", organs=labels)
+    write_masks(pairs / "pair_1", organs=(labels > 1).astype(np.uint8))
+    tool.told(0, *(word for word in measure(pairs) if word != "--quiet"))  # one label alone has no number
+    write_masks(pairs / "pair_1", organs=labels)
     names.write_text('{"labels": {"organs": {"background": 0, "liver": 1, "spleen": 2}}}')
     first, second = json.loads(tool.out(0, *measure(pairs)))["scenes"]
     error = read_volume(pairs.parent / "run" / "pair_1" / "expected_error.nii.gz").values
@@ -126,14 +128,15 @@ def test_labels_of_a_map_are_regions_of_their_own(pairs, tool):
 def test_a_mask_that_cannot_be_used_is_left_out_and_said(pairs, tool):
     volume = read_volume(pairs / "pair_0" / "fixed.nii.gz")
     good = np.ones(volume.values.shape, np.uint8)
-    write_masks(pairs / "pair_0", good=good)
+    write_masks(pairs / "pair_0", good=good, liver=good, organs=2 * good)
+    (pairs / "pair_0" / "meta.json").write_text('{"labels": {"organs": {"liver": 2}}}')
     write_array(pairs / "pair_0" / "mask_small.nii.gz", Grid((4, 4, 4), volume.grid.spacing), good[:4, :4, :4])
     (pairs / "pair_1" / "mask_cut.nii.gz").write_bytes((pairs / "pair_0" / "mask_good.nii.gz").read_bytes()[:100])
     for _ in range(2):  # the second time, nothing is computed
         out, err = tool.both(3, *measure(pairs))
         document = json.loads(out)
-        assert [line.partition(":")[0] for line in err.splitlines()] == ["pair_0", "pair_1"]
-        assert "another grid" in err and "mask_cut.nii.gz" in err
+        assert [line.partition(":")[0] for line in err.splitlines()] == ["pair_0", "pair_0", "pair_1"]
+        assert "another grid" in err and "mask_cut.nii.gz" in err and "two regions are called liver" in err
         assert "region_95_good" in document["scenes"][0] and {each["error"] for each in document["scenes"]} == {""}
 
 

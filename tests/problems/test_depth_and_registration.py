@@ -232,6 +232,12 @@ def test_a_bound_that_ends_with_the_search_is_open(tmp_path: Path):
     assert reach == pytest.approx(2 * 2 ** (1 / 3), abs=1e-4)
     assert found.details.figures["at_reach"] == 1 and found.details.figures["inside_bound"] == round(reach, 4)
     assert np.isposinf(found.bound).all() and (found.status == depthcli.VolumeStatus.OPEN_BOUND).all()
+    # Slices go through a given voxel, or the middle: slice 8 of 16 from above, so slice 7 as stored, at 14 mm.
+    pictures = [
+        depthcli.registration_confidence(fixed, warped, (2, 1, 1), "mind", radius=2, slice_at=at)._repr_png_()
+        for at in ((9.0, 9.0, 14.0), (5.0, 6.0, 14.0))
+    ]
+    assert found._repr_png_() == pictures[0] != pictures[1]
     for suffix in (".nii.gz", ".mha", ".nrrd"):
         found.save(tmp_path, suffix, landmarks=[[5, 5, 5]])
         assert np.isposinf(read_volume(tmp_path / f"bound{suffix}", infinite=True).values).all()
