@@ -139,6 +139,11 @@ def test_near_the_optimum_on_tiny_grids(seed):
     assert found <= best + 0.05 * abs(best)
 
 
+def test_no_pixel_has_no_label():
+    empty = np.empty((0, 3), np.float32)
+    assert trws(empty, empty, np.zeros((2, 3), bool), np.empty((0, 4), np.float32), 2.0, 3).shape == (0,)
+
+
 @pytest.mark.parametrize("shape", [(1, 9), (9, 1)])
 @pytest.mark.parametrize("seed", range(5))
 def test_exact_on_chains(shape, seed):

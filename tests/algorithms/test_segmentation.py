@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from depthcli.algorithms.segmentation.statistical_region_merging import StatisticalRegionMerging, _depth_levels
 from depthcli.core.method import Family
@@ -19,6 +20,9 @@ def test_regions_are_connected_and_large(name):
     labels = part(PACKAGE, name, min_size=20)(gaps()[0].color)
     assert np.bincount(labels.ravel()).min() >= 20
     assert np.array_equal(naive.components(labels[..., None], 0), labels)  # each label is one piece
+    if name != "statistical_region_merging":  # which has coarser ones; the others ignore depth
+        (layer,) = part(PACKAGE, name, min_size=20).layers(gaps()[0].color, gaps()[1])
+        np.testing.assert_array_equal(layer, labels)
     if name != "slic":  # its superpixels have a size, whatever is there
         assert part(PACKAGE, name, min_size=1)(np.full((7, 11, 3), 7, np.uint8)).max() == 0
 
@@ -58,3 +62,9 @@ def test_agrees_with_the_definition(height, width, unknown, min_size):
     for found, want in zip(method.layers(image, depth), expected, strict=True):
         np.testing.assert_array_equal(found, want)
     np.testing.assert_array_equal(method(image, depth), expected[0])
+
+
+def test_layers_get_coarser():
+    for coarser in ((300, 300), (3000,), (300, 400)):
+        with pytest.raises(ValidationError, match="must fall from layer to layer"):
+            StatisticalRegionMerging(complexity=2000, coarser=coarser)

@@ -1,5 +1,7 @@
 """Configs: where each mistake stands, ``--set``, a config over another one, the text of a resolved one, bounds."""
 
+import math
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -9,13 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, Field
 
-from depthcli.core.config_file import dump_config, load_config
+from depthcli.core.config_file import dump_config, find_config, load_config
 from depthcli.core.errors import ConfigError
 from depthcli.core.method import Family, RootConfig
-from depthcli.core.yaml_source import parse_config, read_config
+from depthcli.core.yaml_source import parse_config, read_config, to_yaml
 from depthcli.problems.fusion import FuseConfig
 from depthcli.problems.stereo import StereoConfig
 from tests.core.toys import AnyToy
+from tests.core.toys.box import Box
 from tests.golden import refused, saying
 
 
@@ -57,7 +60,7 @@ MISTAKES = (
     ("toy: chest\ncost: {method: census, windw: [9, 7]}\nwidht: 3\ntop: 0\nparts:\n  - census\n  - censsus\n"
      "  - method: rank\n    window: [3, x]\nupper: 3\ntopp: 2\n",),
     ("toy: box\nsize: [7, 9]\nsymbols: [T]\n",),
-    ("toy: bx\n",),
+    ("toy: bx\n",), ("toy: 3\n",), ("toy: chest\ncost: 3\n",),
     ("toy: chest\n",),
     ("toy: box\nweight: .nan\nsize: [1, 2, 3]\n",),
     ("toy: box\ntoy: box\n",),
@@ -90,9 +93,22 @@ def test_every_mistake_is_told_with_its_line():
 @pytest.mark.parametrize("data", [b"toy: \xff\xfe", b"x" * (1 << 21), None])
 def test_files_that_are_no_text(data: bytes | None, tmp_path: Path):
     file = tmp_path / "c.yaml"
-    if data is not None:
+    if data is None:
+        os.mkfifo(tmp_path / "pipe.yaml")  # at which reading would hang
+        refused(ConfigError, read_config, tmp_path / "pipe.yaml")
+    else:
         file.write_bytes(data)
     refused(ConfigError, read_config, file)
+
+
+@pytest.mark.parametrize(("config", "said"), [
+    ("x" * 5000 + ".yaml", "xx: "), ("sensor", "; transparent has one of that name"),
+    ("nearest", "; refine-kinect and transparent have one of that name"), ("acurate", "did you mean 'accurate'"),
+])  # fmt: skip
+def test_presets_of_other_commands_are_named(config: str, said: str):
+    with pytest.raises(ConfigError) as caught:
+        find_config("stereo", config)
+    assert said in str(caught.value)
 
 
 def test_anchors_merge_keys_and_numbers_without_a_dot():
@@ -118,8 +134,9 @@ def test_options_are_blamed_by_their_name(tmp_path: Path):
     for setting in ([("--max-disparity", "max_disparity=0")], *settings):
         with saying(ConfigError):
             load_config(StereoConfig, tmp_path / "c.yaml", setting)
-    with saying(ConfigError):
-        load_config(StereoConfig, tmp_path / "c.yaml", values={"max_disparity": 0})
+    for values in ({"max_disparity": 0}, {"block": 6}):  # a block has a center
+        with saying(ConfigError):
+            load_config(StereoConfig, tmp_path / "c.yaml", values=values)
     with saying(ConfigError):
         load_config(FuseConfig, tmp_path / "f.yaml", ["measures.0.volume=x.npy"])
 
@@ -129,6 +146,9 @@ def test_dump_reads_back_and_is_stable():
     text = dump_config(root)
     assert load(text) == root and dump_config(load(text)) == text
     assert load(dump_config(load("toy: box\n"))).toy.weight == 1e-6
+    box = Box(size=(1, 2))
+    assert Root(toy=box).toy == box and Root(toy=box) == load("toy: box\nsize: [1, 2]\n")
+    assert to_yaml([math.inf, -math.inf, math.nan, 1e-5]) == "[.inf, -.inf, .nan, 1.0e-05]\n"
     assert dump_config(load("toy: box\nrun: {versions: {numpy: '2.0'}}\n")) == dump_config(load("toy: box\n"))
 
 
@@ -147,6 +167,10 @@ def test_any_setting_is_applied_or_a_config_error(setting: str):
         load("toy: chest\ncost: census\n", setting)
     except ConfigError as error:
         assert "--set" in str(error)
+
+
+def test_a_package_without_methods_is_no_family():
+    refused(TypeError, Family.of, "depthcli.io")
 
 
 def test_a_config_is_laid_over_its_base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

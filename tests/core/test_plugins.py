@@ -155,6 +155,10 @@ def forget() -> None:
 def test_classes_of_a_file_are_found_by_their_names_and_named_in_mistakes(file: Path):
     load_plugin(str(file))
     load_plugin(str(file))  # again: nothing happens
+    greeting = "from depthcli.commands import command\n\n\n@command()\ndef greet() -> int:\n    return 0\n"
+    laid(file.parent, {"elsewhere/mine.py": FILE, "other.py": greeting})
+    for taken in ("elsewhere/mine.py", "other.py"):
+        refused(ConfigError, load_plugin, taken, file.parent)
     assert COSTS.names()[-1] == "wide_census"
     text = "pipeline: local\ncost: {method: Wide-Census, window: [5, 3]}\n"
     config = load_config(StereoConfig, parse_config(text, "x"))
@@ -186,6 +190,8 @@ def test_a_command_of_a_file(file: Path, tool):
     FILE.replace("WideCensus(", "Rank("),
     FILE.replace("def greet", "def stereo"),
     FILE.replace(".numbers", ".png"),  # an ending of ours
+    FILE.replace('(".numbers",)', '".numbers"'),
+    FILE.replace('(".numbers",)', '("numbers",)'),
 ])  # fmt: skip
 def test_a_file_that_is_no_plugin(text: str | None, tmp_path: Path):
     path = tmp_path / "mine.py"
@@ -293,6 +299,11 @@ def test_maps_of_a_format_are_read_everywhere(file: Path, tmp_path: Path):
         with pytest.raises(InputError, match=r"a\.numbers: cannot be read as my_text") as caught:
             read_plane(path)
         assert str(caught.value).isprintable()
+    forget()
+    file.write_text(FILE.replace("ndmin=2)", "ndmin=2)[None]"))
+    load_plugin(str(file))
+    path.write_text("1 2\n")
+    refused(InputError, read_plane, path)
 
 
 def test_a_config_names_its_plugins(file: Path, tmp_path: Path):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from depthcli.core.errors import InputError
+from depthcli.io.calibration_photos import find_photos
 from depthcli.io.formats.calibrations import read_color_infrared_rig, read_geometry, read_rig
 from tests.files import laid
 from tests.golden import refused, told, warned
@@ -120,3 +121,12 @@ def test_color_and_infrared_cameras_of_other_images(tmp_path: Path):
     for fb in (0, -3, 1e9):
         (file,) = written(tmp_path, [f'{{"rectified": true, "fb": {fb}}}'])
         refused(InputError, read_color_infrared_rig, file, SIZE, SIZE)
+
+
+@pytest.mark.parametrize(("folders", "files"), [
+    (("a", "a"), ["1.png"]), (("a", "b"), ["1.png", "../b/2.png"]), (("a",), ["left1.png", "left_1.png", "right1.png"]),
+    (("a",), ["left1.png", "right2.png"]), (("a",), ["notes.txt"]), (("none",), []),
+])  # fmt: skip
+def test_photos_that_are_no_pairs(folders: tuple[str, ...], files: list[str], tmp_path: Path):
+    laid(tmp_path / "a", dict.fromkeys(files, b""))
+    refused(InputError, find_photos, [tmp_path / folder for folder in folders])

@@ -54,6 +54,21 @@ def test_pixels_beside_a_step_have_values_between_both_surfaces():
     assert values.min() >= 10 and values.max() <= 22 and values.mean() == pytest.approx(16, abs=1)
 
 
+def test_noise_that_is_smooth_rounded_disparities_and_rows_without_truth():
+    """White noise, smoothed by a Gaussian of 2 pixels: neighbors correlate by exp(-1 / 16)."""
+    flat = np.full((200, 300), 40, np.float32)
+    noise = simulate_kinect(np.zeros((200, 300, 3), np.uint8), flat, 0, noise=0.3, correlation=2.0, discs=0)
+    error = noise.disparity - flat
+    assert error.std() == pytest.approx(0.3, rel=0.05)
+    assert np.corrcoef(error[:, 1:].ravel(), error[:, :-1].ravel())[0, 1] == pytest.approx(np.exp(-1 / 16), abs=0.02)
+    truth = BOX + np.float32(0.3)
+    np.testing.assert_array_equal(simulated(truth, step=0.25, fattening=0, shadows="none").disparity, BOX + 0.25)
+    truth[:7] = np.nan
+    near = simulated(truth, farthest=0.5, fattening=0, shadows="none").disparity
+    expected = np.where(BOX == 22, truth, np.nan)  # only the box is nearer than half of the largest disparity
+    np.testing.assert_array_equal(near, expected)
+
+
 def test_slopes_are_no_edges():
     truth = np.tile(np.linspace(10, 60, 120, dtype=np.float32), (60, 1))
     sample = simulated(truth)

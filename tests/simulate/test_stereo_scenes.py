@@ -4,9 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
+from depthcli.core.errors import ConfigError
 from depthcli.simulate import textures
 from depthcli.simulate.rendering import disparities, render
 from depthcli.simulate.room import Room, Surface, rotation
+from depthcli.simulate.samples import sample_scenes
 from depthcli.simulate.stereo_scenes import KINDS, Radiometry, SyntheticScene, make_scene
 from tests.golden import refused
 
@@ -118,7 +120,9 @@ def test_radiometry_changes_the_right_view_only_and_as_said():
     assert Radiometry.of_strength(0) == Radiometry()
 
 
-def test_impossible_sizes_are_refused():
+def test_impossible_sizes_and_kinds_are_refused():
+    given = {"count": 2, "seed": 0, "width": 96, "height": 72, "max_disparity": 12, "kind": ["planes", "cubes"]}
+    refused(ConfigError, sample_scenes, "stereo", given)
     for width, height, top in ((96, 10, 12), (10, 72, 4), (96, 72, 60), (96, 72, 2)):
         refused(ValueError, make_scene, "planes", 0, width, height, top)
 

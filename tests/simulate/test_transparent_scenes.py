@@ -8,6 +8,7 @@ from depthcli.io.rgbd_frames import load_sparse_frame, true_depth
 from depthcli.io.scenes import RgbdScene
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.frames import FRAMES
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.simulate.transparent_scenes import (
     cross_modal_pair,
     glass_of_pair,
@@ -17,6 +18,7 @@ from depthcli.simulate.transparent_scenes import (
 )
 from depthcli.testing.inputs import texture
 from tests.command_line import run
+from tests.scenes import load, true
 
 
 def test_the_sensor_is_right_outside_and_sees_farther_or_nothing_inside():
@@ -56,7 +58,7 @@ def test_samples_are_as_many_as_noisy_and_as_wrong_as_asked_for(clustered):
     np.testing.assert_array_equal(sparse, sparse_samples(depth, color, 0.1, 0.005, 0.2, clustered, 3))
 
 
-def test_the_command_makes_frames_and_makes_them_from_others_with_truth(tmp_path, tool):
+def test_the_command_makes_frames_and_makes_them_from_others_with_truth(two_scenes, tmp_path, tool):
     made, more = tmp_path / "made", tmp_path / "more"
     assert run("sample", "--transparent", "--width", "96", "--height", "72", "-o", made, "-q") == 0
     assert run("sample", "--transparent", "--from", made, "--share", "0.3", "-o", more, "-q") == 0
@@ -68,6 +70,14 @@ def test_the_command_makes_frames_and_makes_them_from_others_with_truth(tmp_path
             frame, truth = load_sparse_frame(scene), true_depth(scene)
             assert np.isfinite(frame.sparse).mean() == pytest.approx(share, abs=0.001)
             assert truth.masks["transparent"].any() and truth.fb == (24.0 if folder == made else None)
+    assert run("sample", "--transparent", "--from", two_scenes, "-o", tmp_path / "pairs", "-q") == 0
+    for scene in discover_scenes(tmp_path / "pairs", FRAMES):  # one surface of the pair is glass, the left view color
+        origin, truth = discover_scenes(two_scenes / scene.name, PAIRS)[0], true(scene)
+        glass, disparity = truth.masks["transparent"], true(origin).disparity
+        np.testing.assert_allclose(24.0 / truth.depth, disparity, rtol=1e-5)
+        np.testing.assert_allclose(24.0 / load(scene).depth[~glass], disparity[~glass], atol=0.6)
+        np.testing.assert_array_equal(load(scene).color, load(origin).left)
+        assert 0.01 < glass.mean() < 0.7
     (made / "glass_0" / "depth_true.pfm").unlink()
     assert "no true depth" in "".join(tool.both(3, "sample", "--transparent", "--from", made, "-o", tmp_path / "none"))
 
