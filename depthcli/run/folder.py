@@ -157,8 +157,8 @@ class FolderLock:
             fcntl.lockf(self._scenes, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB), 1, _byte(name))
         except (BlockingIOError, PermissionError):
             return False
-        except OSError:  # the file system has no such locks
-            return True
+        except OSError:
+            pass  # the file system has no such locks
         return True
 
     def release(self, name: str) -> None:

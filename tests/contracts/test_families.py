@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from depthcli.commands._options import SampleOptions
+from depthcli.core.errors import ConfigError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Floats, Image8
 from depthcli.core.method import Family
@@ -30,9 +31,9 @@ from depthcli.testing import (
     check_smoothness,
 )
 from tests.contracts.checks import CHECKS
-from tests.contracts.inputs import COMBINED
+from tests.contracts.inputs import COMBINED, preset
 from tests.contracts.layouts import check_layout
-from tests.golden import same_figures
+from tests.golden import refused, same_figures
 from tests.scenes import load as load_scene
 
 FIELDS: dict[str, dict[str, Any]] = {
@@ -55,6 +56,14 @@ MEMBERS = [
 def test_methods(package: str, name: str, check: Callable[[Any], None]):
     family = Family.of(f"depthcli.{package}")
     check(family.parse({family.key: name, **FIELDS.get(name, {})}, None))
+
+
+def test_values_that_no_method_takes_are_refused():
+    parts = "[{cost: {method: census, outside: 0.3}, lambda: 1}, {cost: rank, lambda: 1}]"
+    for setting in ("cost={method: census, window: [1, 1]}", f"cost={{method: combined, parts: {parts}}}"):
+        refused(ConfigError, preset, "stereo", "fast", setting)
+    for setting in ("measure=eshfit", "intensity_range=[5, 5]"):
+        refused(ConfigError, preset, "register-confidence", "mind", setting)
 
 
 def same(volume: CostVolume) -> CostVolume:

@@ -51,7 +51,7 @@ COSTS = [
 @pytest.mark.parametrize("cost", COSTS, ids=lambda cost: cost.method_name())
 @pytest.mark.parametrize(("height", "width", "disparities"), SIZES)
 def test_costs_are_the_same_bytes(device, cost, height, width, disparities):
-    for dtype, color in ((np.uint8, True), (np.uint16, False)):
+    for dtype, color in ((np.uint8, True), (np.uint8, False), (np.uint16, False)):
         shape = (height, width, 3) if color else (height, width)
         trust = texture((height, width), 3) if color else None
         pair = StereoPair(texture(shape, 1, dtype), texture(shape, 2, dtype), light_trust=trust)
@@ -153,13 +153,13 @@ def test_presets_run_wholly_on_the_device(device, name):
 
 
 def test_a_step_without_device_implementation_runs_on_the_processor(device):
-    method = Local.model_validate({"cost": "zncc", "refinement": ["left_right_check", "region_voting"],
-                                   "confidence": ["pkr"]})  # fmt: skip
-    pair = _pair(60, 40, 12)
-    expected, found = method(pair, 12), on_device(method, pair, 12, device)
-    assert found.figures["stages_on_cpu"] == 2
-    np.testing.assert_array_equal(found.disparity.values, expected.disparity.values)
-    np.testing.assert_array_equal(found.confidence["pkr"], expected.confidence["pkr"])
+    pair, fields = _pair(60, 40, 12), {"refinement": ["left_right_check", "region_voting"], "confidence": ["pkr"]}
+    for cost in ("zncc", "intensity_gradient"):  # costs of bytes, and of floats
+        method = Local.model_validate({"cost": cost, **fields})
+        expected, found = method(pair, 12), on_device(method, pair, 12, device)
+        assert found.figures["stages_on_cpu"] == 2
+        np.testing.assert_array_equal(found.disparity.values, expected.disparity.values)
+        np.testing.assert_array_equal(found.confidence["pkr"], expected.confidence["pkr"])
 
 
 def test_kernels_are_timed_on_the_device(device):

@@ -239,11 +239,16 @@ def test_what_goes_wrong_with_a_card_is_said(card):
 
 @pytest.mark.parametrize("card", ["opencl"], indirect=True)
 @pytest.mark.parametrize("error", ["", "clBuildProgram failed\n\nerror: unknown target CPU 'generic'"])
-def test_a_processor_that_pocl_does_not_know_is_no_device(card, error):
-    module = card[1]
+def test_what_is_no_device_of_opencl(card, error, monkeypatch):
+    """A platform that fails, a processor that PoCL does not know, and none at all without the package."""
+    _, module, forget = card
     (device,) = module.get_platforms()[0].get_devices()
     device.version, device.type = "OpenCL 3.0 PoCL", 2
     module.Program.return_value.build.side_effect = RuntimeError(error) if error else None
+    module.get_platforms.return_value.insert(0, MagicMock(get_devices=fail))
     found, why = depthcli.device.opencl.find_devices()
     assert len(found) == (0 if error else 1)
     assert ("unknown target CPU 'generic'" in why) == bool(error)
+    forget()
+    monkeypatch.setitem(sys.modules, "pyopencl", None)
+    assert depthcli.device.opencl.find_devices() == ([], "pyopencl is not installed; pip install 'depthcli[opencl]'")

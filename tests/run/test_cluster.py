@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import shutil
 import signal
 import subprocess
@@ -9,14 +10,24 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
 from depthcli.cli import main
+from depthcli.core.errors import ConfigError, IncompleteError
+from depthcli.run import cluster as cluster_module
 from depthcli.run import records
+from depthcli.run.console import Reporter
+from depthcli.run.job import Execution
+from depthcli.run.records import read_record
+from depthcli.run.scene import Task, Work
 from tests.command_line import contents, ended, rows, start, wait_for
 from tests.conftest import sampled
 from tests.files import laid
+from tests.golden import refused, told
+from tests.run.test_runner import Config, Repeat, Text
 
 PRESET = "opencv-sgbm"
 SCENES = 48
@@ -147,3 +158,48 @@ def test_no_scheduler_there_is_told_in_a_line(tmp_path: Path, tool, made_scenes:
     for address in ("nope", "tcp://nope", "tcp://no.such.host.invalid:8786"):
         assert tool.err(2, *command, "--scheduler", address).count("\n") == 1
     tool.told(2, *command, "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2")
+
+
+def task_and_work(folder: Path) -> tuple[Task, Work]:
+    scene = Text(name="item", folder=folder, file=folder / "item.txt")
+    work = Work(Repeat(Config()), Execution(scheduler="tcp://there"), frozenset())
+    return Task(scene, folder / "run", folder / "run/.partial/0", "run", {}, "", {}), work
+
+
+class KilledWorker(Exception):  # noqa: N818  (its name in dask.distributed)
+    pass
+
+
+@pytest.mark.parametrize(("error", "ends"), [
+    (KilledWorker("three times"), None), (RuntimeError("boom\nmore"), None),
+    (ConfigError("another depthcli"), ConfigError), (ModuleNotFoundError("no depthcli"), ConfigError),
+    (None, IncompleteError),
+])  # fmt: skip
+def test_what_comes_of_a_worker_s_error(error: Exception | None, ends: type[Exception] | None, tmp_path, monkeypatch):
+    client, (task, work) = Mock(status="running"), task_and_work(tmp_path)
+    client.scheduler_info.return_value = {"workers": {}}
+    client.submit.return_value = Mock(status="error", exception=lambda: error)
+    if error is None:
+        client.submit.side_effect = OSError("the connection is lost")
+    monkeypatch.setattr(cluster_module, "_connected", lambda address: (client, Mock()))
+
+    def compute() -> list[Any]:
+        return list(cluster_module.compute_on_cluster([task], work, Reporter(-1), tmp_path / "run/.partial"))
+
+    if ends is None:
+        (row,) = compute()
+        told(f"{row['status']}: {row['error']}")
+        assert read_record(task.target).row == row
+    else:
+        refused(ends, compute)
+        assert not task.target.exists()
+
+
+def test_a_worker_refuses_other_versions_and_another_file_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    distributed = pytest.importorskip("distributed", reason="no dask.distributed (the extra 'cluster')")
+    monkeypatch.setattr(distributed, "get_worker", lambda: Mock(address="tcp://worker"))
+    (task, work), there = task_and_work(tmp_path), cluster_module._compute_there
+    for identity in ("another", cluster_module._identity_here(work)):
+        refused(ConfigError, there, [], pickle.dumps((task, work, identity, str(tmp_path))))
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    refused(ConfigError, cluster_module._connected, "tcp://there:1")

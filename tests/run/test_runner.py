@@ -11,9 +11,10 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numba
 import pytest
@@ -23,7 +24,7 @@ from depthcli.core.context import Clock, Context
 from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
 from depthcli.io.formats.files import RECORD_FILE, atomic_path
 from depthcli.io.scenes import Scene
-from depthcli.run import records, workers
+from depthcli.run import console, job, records, workers
 from depthcli.run.console import Reporter
 from depthcli.run.job import Execution, Job, Outcome
 from depthcli.run.records import discard, hidden_folder, read_report
@@ -210,6 +211,17 @@ def test_failures_are_rows(folder: Folder, jobs: int):
     assert statuses(folder.run(jobs=jobs)) == "done done failed done"
     assert folder.computed() == "abc"
     assert not (folder.output / "traceback-b.txt").exists()
+    name = "b" * 250  # a file's name has at most 255
+    file = laid(folder.root / "in", {"long": "bug"}) / "long"
+    row = folder.run(only=Text(name=name, folder=file.parent, file=file))[name]
+    (trace,) = folder.output.glob("traceback-*.txt")
+    assert trace.name in row["error"] and "no such thing" in trace.read_text()
+
+
+def test_scenes_that_cannot_be_moved_into_place_are_failed_rows(folder: Folder, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("depthcli.run.scene.install", Mock(side_effect=OSError(errno.EIO, os.strerror(errno.EIO))))
+    told(folder.run(only="a")["a"]["error"])
+    assert not (folder.output / "a" / "out.txt").exists()
 
 
 @pytest.mark.slow
@@ -259,6 +271,8 @@ def test_a_result_does_not_outlive_its_input(folder: Folder):
     folder.run()
     before, other = folder.bytes(), records.Record("a", "another run", {}, {}, {"status": "failed"})
     records.record_failure(folder.output / "a", other, overwrite=False)  # results that another run made meanwhile
+    made = laid(folder.root / "made", {"out.txt": "other"})
+    refused(OutputError, records.install, made, folder.output / "a", replace(other, files={"out.txt": ""}))
     assert folder.bytes() == before
     folder.texts["a"] = "damaged"
     assert folder.run()["a"]["status"] == "failed"
@@ -376,11 +390,11 @@ def test_edited_records_are_not_believed(folder: Folder):
 
 
 def test_a_report_that_cannot_be_written_is_told_after_the_work(folder: Folder, monkeypatch: pytest.MonkeyPatch):
-    def full(*_: object) -> None:
-        raise OutputError("report.json: cannot be written (No space left on device)")
-
-    monkeypatch.setattr("depthcli.run.runner.write_report", full)
-    refused(IncompleteError, folder.run)
+    full = OutputError("report.json: cannot be written (No space left on device)")
+    for name, error in (("write_report", full), ("flush_all", OSError(errno.EIO, os.strerror(errno.EIO)))):
+        with monkeypatch.context() as patched:
+            patched.setattr(f"depthcli.run.runner.{name}", Mock(side_effect=error))
+            refused(IncompleteError, folder.run)
     assert (folder.output / "d" / "out.txt").exists()
 
 
@@ -405,7 +419,8 @@ def test_of_many_items_the_table_shows_failures_and_totals():
     assert heading.split() == ["scene", "status", "some", "seconds", "memory"]
 
 
-def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path: Path):
+@pytest.mark.parametrize("again", [True, False])
+def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path: Path, again: bool):
     """A worker of a cluster may outlive its run: its half scene must not pass for a whole one, nor remove another's."""
     made = dict.fromkeys(("a.txt", "b.txt"), "whole")
     gone = []
@@ -417,7 +432,8 @@ def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path:
                     gone.append(folder)
                     discard(folder.parent)  # the run ends, and the next one makes the scene
                     assert compute_scene(task(tmp_path / "next"), work, context.memory)()["status"] == "done"
-                folder.mkdir(parents=True, exist_ok=True)  # as the writers of files do
+                if again:
+                    folder.mkdir(parents=True, exist_ok=True)  # as most writers of files do
                 (folder / name).write_text(text)
             return Outcome()
 
@@ -427,7 +443,8 @@ def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path:
 
     work = Work(Slow(Config()), Execution(), frozenset())
     row = compute_scene(task(tmp_path / "making"), work, 1 << 30)()
-    assert row["status"] == "failed" and "the run has ended" in row["error"]
+    reason = "the run has ended" if again else "b.txt: No such file or directory"
+    assert row["status"] == "failed" and reason in row["error"]
     known = records.read_record(tmp_path / "run/item")
     assert set(known.files) == set(made)
     assert task(tmp_path / "making").is_done(known)
@@ -537,6 +554,30 @@ def test_files_are_kept_by_their_paths_and_memory_is_shared(tmp_path: Path):
     assert Execution(jobs=2, max_memory=100).memory_each() == 50
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for the same")
+def test_what_a_control_group_and_a_system_without_proc_leave(monkeypatch: pytest.MonkeyPatch):
+    import resource
+
+    files = {
+        "/sys/fs/cgroup/cpu.max": "150000 100000", "/proc/meminfo": "MemAvailable: 5 kB",
+        "/sys/fs/cgroup/memory.max": "3000", "/sys/fs/cgroup/memory.current": "1000",
+    }  # fmt: skip
+
+    def read_text(path: Path, *_: str) -> str:
+        if str(path) in files:
+            return files[str(path)]
+        raise FileNotFoundError
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "read_text", read_text)
+        assert (job.cores(), job.available_memory()) == (1, 2000)
+        files.clear()
+        found = job.cores(), job.available_memory(), job.peak_memory()
+    assert found[0] == len(os.sched_getaffinity(0))
+    assert found[1] == os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    assert found[2] == pytest.approx(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024, rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("left", "took", "busy", "options", "need", "found"),
     [
@@ -559,10 +600,30 @@ def test_how_many_processes_finish_first_on_eight_cores(left, took, busy, option
 
 
 @pytest.mark.slow
-def test_a_process_that_compiles_does_so_alone(folder: Folder, capsys: pytest.CaptureFixture[str]):
+@pytest.mark.parametrize(("jobs", "said"), [(1, "compiling kernels: 1 so far, 0 s"), (2, "compiling kernels for")])
+def test_a_process_that_compiles_says_so_and_does_it_alone(folder: Folder, jobs: int, said: str, capsys, monkeypatch):
+    monkeypatch.setattr(console, "_PROGRESS", -1)
     folder.texts, folder.reporter = dict.fromkeys("abcd", "compiles"), Reporter(0)
-    assert statuses(folder.run(jobs=2)) == ALL_DONE
-    assert "compiling kernels" in capsys.readouterr().err
+    assert statuses(folder.run(jobs=jobs)) == ALL_DONE
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_progress_is_a_line_now_and_then_or_beside_the_bar(terminal: bool, capsys, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    monkeypatch.setattr(console, "_HEARTBEAT", -1)
+    monkeypatch.setattr(console, "_PROGRESS", -1)
+    reporter = Reporter()
+    with reporter.counting(3, 1, "stereo"):
+        reporter.progress("compiling", 2.6)
+        reporter.step(failed=True)
+        reporter.error("s: cannot be read")
+    said = capsys.readouterr().err
+    lines = ["compiling, 3 s", "stereo: 2 of 3 scenes, 1 failed", "s: cannot be read"]
+    if terminal:
+        assert "1/3" in said and lines[0] in said and "\rs: cannot be read\n" in said
+    else:
+        assert said.splitlines() == lines
 
 
 @pytest.mark.slow

@@ -8,15 +8,17 @@ from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
-from depthcli.core.errors import ConfigError
+from depthcli.core.errors import ConfigError, OutputError
 from depthcli.run import workers
 from depthcli.run.console import Reporter
-from depthcli.run.folder import LOCKS_FILE, FolderLock
+from depthcli.run.folder import LOCKS_FILE, FolderLock, staging_folder
 from depthcli.run.job import shard_of
 from tests.command_line import contents, ended, run, start, statuses
+from tests.files import laid
 from tests.golden import refused
 
 FAST = "opencv-bm"
@@ -95,7 +97,7 @@ def test_who_may_come_in(made_scenes: Path, tmp_path: Path, tool, monkeypatch):
     assert sorted(path.name for path in out.iterdir()) == left
 
 
-def test_a_scene_is_claimed_by_one(tmp_path: Path):
+def test_a_scene_is_claimed_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Two processes, since these locks are a process's."""
     with FolderLock(tmp_path / "run", print) as lock:
         lock.share()
@@ -109,7 +111,11 @@ def test_a_scene_is_claimed_by_one(tmp_path: Path):
         assert lock.claim("a") and not lock.claim("c")
         other.kill()
         other.communicate()
-        assert lock.claim("c") and lock.last()
+        assert lock.claim("c")
+        with monkeypatch.context() as patched:  # of a file system that locks folders alone
+            patched.setattr("fcntl.lockf", Mock(side_effect=OSError(37, "No locks available")))
+            assert lock.claim("d")
+        assert lock.last()
 
 
 @pytest.mark.slow
@@ -236,3 +242,15 @@ def test_leaving_files_out(made_scenes: Path, whole: Path, tmp_path: Path):
     assert len(stamps) == 1
     assert run(*common) == 0
     assert contents(out / "planes_0") == contents(whole / "planes_0")
+
+
+def test_results_that_are_no_scenes_are_replaced_together_or_not_at_all(tmp_path: Path, monkeypatch):
+    def write(text: str) -> None:
+        with staging_folder(tmp_path / "out", "evaluate", ["*.txt"], print) as made:
+            laid(made, {"a.txt": text, "b.txt": text})
+
+    write("first")
+    monkeypatch.setattr("depthcli.run.folder.install", Mock(side_effect=OSError(5, "Input/output error")))
+    refused(OutputError, write, "second")
+    assert {path.read_text() for path in (tmp_path / "out").glob("*.txt")} == {"first"}
+    assert not list((tmp_path / "out").glob(".partial*"))

@@ -156,6 +156,4 @@ def _turned(values: Doubles, size: tuple[int, int], focal: float) -> tuple[Doubl
 
 
 def _moved(homography: Doubles, points: Points) -> Points:
-    if len(points) == 0:
-        return np.zeros((0, 2))
     return np.asarray(cv2.perspectiveTransform(points[:, None], homography), np.float64)[:, 0]

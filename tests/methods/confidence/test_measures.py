@@ -92,7 +92,8 @@ def test_unknown_names_are_refused_with_the_names_there_are():
     costs = random_costs((4, 5), np.uint8)
     refused(ValueError, confidence_maps, costs[None], ["pkrr"])
     refused(ValueError, confidence_maps, costs, ["pkr"])
-    refused(ValueError, CostCurves, costs, np.array([0, 1, 2, 3]))
+    for given in ((costs, np.array([0, 1, 2, 3])), (costs[0],), (costs[:, :0],)):
+        refused(ValueError, CostCurves, *given)
 
 
 def test_exponential():

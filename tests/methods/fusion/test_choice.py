@@ -25,7 +25,7 @@ from depthcli.problems.fusion import Fuse, FuseConfig
 from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.inputs import assert_pure, blocky_pair, random_volume, texture
 from tests.contracts.checks import CHECKS
-from tests.contracts.inputs import KINDS, random_proposals, views
+from tests.contracts.inputs import KINDS, part, random_proposals, views
 from tests.golden import refused
 from tests.naive import choice as naive_choice
 from tests.naive import maps as naive_maps
@@ -241,5 +241,7 @@ def test_a_network_takes_only_the_inputs_and_maps_it_was_trained_for():
     trained = random_network(KINDS)
     for other in (replace(trained, inputs=("cost", *trained.inputs[1:])), random_network(KINDS, units=(6, 4))):
         refused(InputError, network.NetworkChoice().with_network, other, KINDS)
+    refused(ValueError, network.NetworkChoice(), random_proposals())
+    refused(NotImplementedError, part("methods.fusion.choice", "energy").with_network, trained, KINDS)
     maps = {"choice": {"method": "network"}, "optimizations": [{"optimization": "scanline"}]}
     refused(ConfigError, Fuse.ready, FuseConfig.model_validate({"measures": ["census"], "maps": maps}))

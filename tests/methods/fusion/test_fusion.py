@@ -6,8 +6,10 @@ import pytest
 from pydantic import ValidationError
 from scipy.stats import rankdata
 
+from depthcli.core.context import Clock
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
+from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.fusion.blend import add_weighted, blend, measure_weights, normalize_confidences, normalize_costs
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.fusion.votes import Ballot, ColorSupport, WindowSupport
@@ -93,6 +95,20 @@ def test_confidences_become_comparable_by_their_ranks_and_lrc_by_its_pixels():
     expected = (rankdata(values).reshape(values.shape) - 0.5) / 60
     np.testing.assert_allclose(normalize_confidences(values, "pkr"), expected, rtol=1e-6)
     np.testing.assert_allclose(normalize_confidences(-values, "lrc"), 1 / (1 + values), rtol=1e-6)
+
+
+def test_voters_count_alike_or_by_a_confidence_of_their_costs():
+    pair, plain = soft_pair(), {"vote_aggregation": None, "measures": ["census", "rank"]}
+    parts = [measure.cost(pair, 12) for measure in fusion(**plain).measures]
+    alike, ranked = (
+        fusion(**plain, vote_confidence=name)._ballot(parts, pair, None, Clock()) for name in (None, "pkr")
+    )
+    assert (alike.vote_weights == 1).all()
+    np.testing.assert_array_equal(alike.disparities, ranked.disparities)
+    optimize = fusion().vote_optimization
+    ratios = np.stack([confidence_maps(optimize(part, pair).costs, ["pkr"])["pkr"] for part in parts])
+    expected = (rankdata(ratios).reshape(ratios.shape) - 0.5) / ratios.size
+    np.testing.assert_allclose(ranked.vote_weights, expected, rtol=1e-5)
 
 
 modes = pytest.mark.parametrize("weights", ["consensus", "confidence", "equal", "select", "vote"])

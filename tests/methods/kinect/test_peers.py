@@ -113,3 +113,12 @@ def test_shadow_smoother_has_smaller_errors_than_the_smoother_it_uses(kind):
     for part in (sample.gap, sample.mismatch):
         assert np.nanmean(ours[part]) < 0.8 * np.nanmean(peer[part])
     assert np.nanmean(ours[sample.measured]) < 0.24
+
+
+def test_without_colors_the_edges_of_the_depth_stop_the_smoothing():
+    truth = np.where(np.arange(60) < 30, 22, 12) + np.zeros((40, 1))
+    disparity = truth + 0.2 * np.random.default_rng(0).standard_normal(truth.shape)
+    disparity[10:30, 20:40] = np.nan
+    frame = RgbdFrame.without_color((43.5 / disparity).astype(np.float32), 43.5, None)
+    error = np.abs(43.5 / pipeline("shadow_smoother")(frame).depth.values - truth)
+    assert error.mean() < 0.06 and error[:, 25:35].mean() < 0.12

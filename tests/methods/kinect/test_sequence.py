@@ -117,6 +117,7 @@ def test_the_view_after_a_motion_shows_a_slanted_plane_where_it_is(turn):
     inside = (old_x > 1) & (old_x < 78) & (old_y > 1) & (old_y < 58)
     assert np.abs(view.color[y, x].astype(int) - color[old_y, old_x])[inside].max() <= 6  # two pixels of the ramps
     assert displacement(motion, disparity, camera, fb) > 1 > 1e-9 > displacement(np.eye(4), disparity, camera, fb)
+    assert displacement(motion, disparity * np.float32(np.nan), camera, fb) == 0
 
 
 def test_segments_are_new_after_max_age_and_much_change():

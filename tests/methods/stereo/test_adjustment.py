@@ -174,6 +174,15 @@ def test_pairs_with_too_few_matches_are_returned_unchanged():
         assert adjusted(pair, top, BOTH) is pair, shape
 
 
+def test_large_pairs_and_ranges_are_reduced_by_powers_of_two(monkeypatch):
+    pair = StereoPair(*np.zeros((2, 41, 60, 3), np.uint8))
+    for name, limit, factor in (("_MAX_PIXELS", 153, 8), ("_MAX_PIXELS", 154, 4), ("_MAX_COSTS", 400, 4)):
+        with monkeypatch.context() as patched:
+            patched.setattr(adjustment, name, limit)
+            reduced, found = adjustment._reduced(pair, 10)
+        assert (found, reduced.shape) == (factor, (-(-41 // factor), -(-60 // factor)))
+
+
 def test_tiles_are_adjusted_as_the_whole(scene):
     """A pipeline without the whole image's sums gives the same map in tiles."""
     fields = {"aggregation": "constant_window", "refinement": ["left_right_check", "background_fill"]}

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -170,6 +171,8 @@ def test_formats_scales_and_values_that_mean_none(here: Path):
     assert found("map.png", format="png", scale=2).values[5, 5] == 14.5
     with pytest.raises(ProgramError, match="from 0 to 15"):
         found("map.npy", format="npy", invalid=[4.5, 15.5])
+    with pytest.raises(ProgramError, match=r"wrote no output\.pfm"):
+        depthcli.stereo(image, image, preset=program(["true"]), max_disparity=15)
     assert found("map.npy", format="npy", scale=0.5).values[5, 5] == 9
 
 
@@ -214,8 +217,9 @@ def test_no_shell_reads_the_name_of_a_scene(here: Path, made_scenes: Path, name:
 
 def test_what_is_wrong_with_a_config_is_said_before_any_scene_is_opened(here: Path, made_scenes: Path, tool):
     for setting in (
-        "run=[./absent, '{left}']", "run=[python, '{zzzz}']", "run=[python, '{']", "run=[python, '{max_disparity:03}']",
-        "timeout=10 parsecs", "parameters.left=3", "shell=true", "run=[bash, -ec, 'echo \"{name}\"']",
+        "run=[./absent, '{left}']", "run=[]", "run=[python, '{zzzz}']", "run=[python, '{']",
+        "run=[python, '{max_disparity:03}']", "timeout=10 parsecs", "parameters.left=3", "shell=true",
+        "run=[bash, -ec, 'echo \"{name}\"']",
     ):  # fmt: skip
         tool.told(2, "stereo", "sgbm.yaml", "-i", made_scenes, "-o", "run", "--set", setting)
     assert not (here / "run").exists()
@@ -268,6 +272,22 @@ def test_exit_codes_and_signals_are_named_with_the_end_of_the_output(tmp_path: P
         "print('y' * 9999); 1 / 0",
     ):
         refused(ProgramError, run, tmp_path, code)
+    refused(ProgramError, run_program, ["./absent"], tmp_path, 1.0, Context())
+
+
+@pytest.mark.skipif(not shutil.which("ps"), reason="no ps")
+def test_systems_that_lack_a_way_to_look_at_programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """macOS, which has no /proc and had no waitid, and Windows."""
+    import resource
+
+    context = Context()
+    monkeypatch.delattr(os, "waitid", raising=False)
+    monkeypatch.setattr("depthcli.methods.stereo.pipeline._process._resident_bytes", lambda session: 0)
+    monkeypatch.setattr(resource, "getrusage", lambda who: SimpleNamespace(ru_maxrss=0))
+    run_program([sys.executable, "-c", "bytearray(40 << 20)"], tmp_path, 60.0, context)
+    assert 40 << 20 < context.used["program_memory"] < 4 << 30
+    monkeypatch.setitem(sys.modules, "resource", None)
+    refused(ProgramError, run_program, ["true"], tmp_path, 1.0, context)
 
 
 CHILD = """

@@ -2,19 +2,23 @@
 
 from dataclasses import replace
 from functools import partial
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
 import pytest
 
+from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.aggregation.cross import cross_arms
+from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.cost.gradient import image_gradient
 from depthcli.methods.stereo.optimization import scanline
-from depthcli.methods.stereo.volume import CostVolume
+from depthcli.methods.stereo.volume import CostVolume, as_fixed_point
 from depthcli.testing.inputs import TINY, blocky_pair, random_volume, texture
 from tests.contracts.inputs import part
+from tests.golden import refused
 from tests.naive import stereo as naive
 
 cost, aggregation, optimization = (
@@ -242,3 +246,18 @@ def test_means_of_small_integers_have_no_bias(level):
     ):  # fmt: skip
         means = method(CostVolume(costs), blocky_pair(60, 80)).costs
         assert abs(means.mean() - costs.mean()) < 0.2, method
+
+
+def test_float_costs_below_zero_become_fixed_points_from_zero():
+    fixed = as_fixed_point(CostVolume(np.array([[[-1, 0, 3]]], np.float32), 2.0))
+    assert fixed.costs.tolist() == [[[0, 1020, 4080]]] and fixed.scale == 2 * 1020
+
+
+def test_costs_of_another_shape_or_type_are_refused(monkeypatch):
+    costs, pair = np.zeros((6, 9, 4), np.uint8), blocky_pair(6, 9)
+    refused(ValueError, CostVolume, costs[:, :, ::2])
+    refused(TypeError, CostVolume, costs.astype(np.float64))
+    unknown = CostVolume(np.full_like(costs, np.nan, np.float32))
+    for made in (costs, CostVolume(costs[1:]), unknown, CostVolume(costs, 0)):
+        monkeypatch.setattr(Census, "__call__", Mock(return_value=made))
+        refused(InputError, Census().checked_costs, pair, 4)

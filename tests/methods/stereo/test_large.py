@@ -165,13 +165,15 @@ STEPS = [
 @pytest.mark.parametrize(("cost", "aggregation"), LOCAL.values(), ids=LOCAL)
 def test_local_methods_give_the_same_bytes_in_tiles(cost, aggregation, monkeypatch):
     monkeypatch.setattr(tile_by_tile, "_BAND_PIXELS", 2000)  # refinement in several bands, too
-    pipeline = Local.model_validate({"cost": cost, "aggregation": aggregation, "refinement": STEPS})
+    fields = {"cost": cost, "aggregation": aggregation, "refinement": STEPS, "confidence": ["msm"]}
+    pipeline = Local.model_validate(fields)
     _, pair = generated(3, (200, 150), 40)
-    whole = pipeline(pair, 40).disparity
+    whole = pipeline(pair, 40)
     result = least_memory(pipeline, pair, 40)
     assert result.figures["tiles"] > 3 and result.figures["exact"] == 1
-    np.testing.assert_array_equal(result.disparity.values, whole.values)
-    np.testing.assert_array_equal(result.disparity.status, whole.status)
+    np.testing.assert_array_equal(result.disparity.values, whole.disparity.values)
+    np.testing.assert_array_equal(result.disparity.status, whole.disparity.status)
+    np.testing.assert_array_equal(result.confidence["msm"], whole.confidence["msm"])
 
 
 @pytest.mark.slow

@@ -11,7 +11,15 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.method import used_files
 from depthcli.methods.stereo.cost.onnx import NetworkCost
-from depthcli.methods.stereo.networks import MeanDeviation, networks_in, normalized, padded, samples
+from depthcli.methods.stereo.networks import (
+    ImageInput,
+    MeanDeviation,
+    network_device,
+    networks_in,
+    normalized,
+    padded,
+    samples,
+)
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.pipeline.onnx import NetworkPipeline
 from depthcli.testing.cost import CHECKS
@@ -102,15 +110,40 @@ def test_range_status_fill_and_threads(tmp_path: Path):
 
 @needs_onnx
 def test_what_is_no_network_of_this_kind_is_refused(tmp_path: Path):
-    graph, image = Graph(), (1, 3, 8, 8)
-    inputs = {"left": image, "right": image, "flow_init": (1, 2, 4, 4)}
-    parts = graph.save(tmp_path / "part.onnx", inputs, graph.add("Abs", "left"))
+    def saved(kind: str, **inputs: tuple[int | str, ...]) -> Path:
+        graph = Graph()
+        return graph.save(tmp_path / f"{kind}.onnx", inputs, graph.add(kind, "left"))
+
+    fixed, free = (1, 3, 8, 8), (1, 3, "H", "W")
     for found in (
-        pipeline(local_features(tmp_path / "features.onnx")), pipeline(parts),
+        pipeline(local_features(tmp_path / "features.onnx")),
+        pipeline(saved("Abs", left=fixed, right=fixed, flow_init=(1, 2, 4, 4))),
+        pipeline(saved("GlobalAveragePool", left=free, right=free)),
         NetworkCost(model=str(block_matcher(tmp_path / "net.onnx"))),
         NetworkCost(model=str(local_features(tmp_path / "half.onnx", pads=1, stride=2))),
+        NetworkCost(model=str(saved("Neg", left=fixed))), NetworkCost(model=str(saved("Flatten", left=free))),
     ):  # fmt: skip
         refused(InputError, found.prepare, "cpu")
+    black = StereoPair(*np.zeros((2, 9, 9), np.uint8))
+    refused(InputError, NetworkCost(model=str(saved("Log", left=free))), black, 4)  # minus infinity
+
+
+@needs_onnx
+@pytest.mark.filterwarnings("ignore:Specified provider")
+def test_the_device_of_networks_is_cuda_where_that_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    import onnxruntime
+
+    found = pipeline(local_features(tmp_path / "net.onnx"))
+    assert network_device("auto") == network_device("cpu") == "cpu"
+    assert [network_device(name) for name in ("cuda", "cuda:2")] == ["cuda:0", "cuda:2"]
+    refused(InputError, found.prepare, "cuda:0")
+    providers = ["CUDAExecutionProvider", "CPUExecutionProvider"]
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: providers)
+    assert network_device("auto") == "cuda:0"
+    refused(InputError, found.prepare, "cuda:0")  # it is said to be there, but does not work
+    (tmp_path / "net.onnx").write_bytes(b"")
+    assert [*found.used_files()] == ["model"]
+    refused(InputError, found.prepare, "cpu")
 
 
 def test_networks_and_their_files_are_found_in_any_part_of_a_config(tmp_path: Path):
@@ -149,6 +182,11 @@ def test_values_that_networks_take():
     for view, n in ((0, 1), (1, 3)):
         image = samples(wide, view, n)
         assert (image == 255).all() and image.shape == (4, 4, n)
+    mean = (0.485 + 0.456 + 0.406) / 3, (0.229 + 0.224 + 0.225) / 3  # of a grey image
+    grey = normalized(np.full((1, 1, 1), 51, np.float32), "imagenet", "rgb")
+    assert grey[0, 0] == pytest.approx((0.2 - mean[0]) / mean[1], rel=1e-5)
+    bytes_of = ImageInput("left", np.dtype(np.uint8), 4, 3, False, (None, None)).array
+    assert bytes_of(np.array([[[-3, 1.6, 300]]], np.float32)).tolist() == [[[[0]], [[2]], [[255]]]]
     assert padded(np.zeros((5, 7, 1), np.float32), 4, margin=1).shape == (8, 12, 1)
     with pytest.raises(ValueError, match="deviations are above 0"):
         MeanDeviation(mean=(0.5,), deviation=(0.0,))

@@ -148,7 +148,9 @@ def test_restoring_keeps_holes_and_fills_no_hole(low: int):
         values = np.full(shape, 2.0, np.float32)
         values[0, 5] = 2.0 if dense else np.nan
         made = StereoResult(DisparityMap(values, np.zeros(shape, np.uint8)), confidence={"a": values})
+        made.pictures = {"first": values, "segments": np.full(shape, 2, np.uint16)}
         back = search.restore(made, 12)
+        assert set(back.pictures["first"][1]) == {2 + low} and (back.pictures["segments"] == 2).all()
         assert back.disparity.values.shape == back.confidence["a"].shape == (5, 12)
         np.testing.assert_array_equal(back.disparity.values[1], np.where(partner | dense, 2 + low, np.nan))
         np.testing.assert_array_equal(back.disparity.status[1], np.where(partner, 0, reason))

@@ -80,6 +80,8 @@ def test_weights_of_the_channels_are_learned_from_the_sensor():
     disparity[:, :20] = np.nan
     np.testing.assert_allclose(learned_weights(color, infrared, disparity), (0.7, 0.3, 0.0), atol=0.03)
     assert learned_weights(color, infrared, np.full_like(disparity, np.nan)) == GREY
+    grey = np.repeat(color[..., :1], 3, axis=2)  # of which the infrared image is the negative
+    assert learned_weights(grey, 255 - np.roll(grey[..., 0], -7, axis=1), disparity) == GREY
 
 
 @pytest.mark.slow
@@ -92,6 +94,10 @@ def test_every_way_to_mix_the_channels_matches(channels):
     assert sum(found.weights) == pytest.approx(1)
     if channels == "early":
         assert_pure(lambda: stereo.match(*inputs).sparse, *inputs)
+        median = stereo.model_copy(update={"median": 3}).match(*inputs).dense
+        smooth = stereo.match(scene.color, cv2.medianBlur(scene.infrared, 3), scene.sensor).dense
+        np.testing.assert_array_equal(median, smooth)
+        assert (median != found.dense).any()
 
 
 @pytest.mark.slow

@@ -47,8 +47,6 @@ class AdaptiveWeight(Aggregator):
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
         """Return weighted means: uint16 fixed point (x16) of uint8 costs, otherwise the input's dtype and scale."""
         costs = volume.costs
-        if costs.shape[:2] != pair.shape:
-            raise ValueError(f"volume {costs.shape} does not belong to images of {pair.shape}")
         fixed_point = 16 if costs.dtype == np.uint8 else 1
         out = memory.empty(costs.shape, np.float32 if costs.dtype == np.float32 else np.uint16)
         left, right = (self.planes(image) for image in pair.color8)
