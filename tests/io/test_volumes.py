@@ -167,7 +167,7 @@ def slices(folder: Path, places: list[str], series: str = "1") -> Path:
 
 def test_dicom_slices_that_are_no_volume_are_refused(tmp_path):
     assert read_volume(slices(tmp_path / "whole", ["0\\0\\2", "0\\0\\5"])).grid.spacing == (1, 1, 3)
-    slices(tmp_path / "twice", ["0\\0\\2", "0\\0\\5", "0\\0\\5", "0\\0\\8"])
+    slices(tmp_path / "twice", ["0\\0\\2", "0\\0\\5", "0\\0\\5.01", "0\\0\\8"])
     slices(tmp_path / "time", ["0\\0\\2"] * 3)
     for file in slices(tmp_path / "nowhere", ["0\\0\\2", "0\\0\\5"]).iterdir():
         file.write_bytes(re.sub(rb"\x20\x00\x32\x00\x06\x00\x00\x00.{6}", b"", file.read_bytes(), flags=re.DOTALL))
@@ -183,11 +183,11 @@ def test_images_and_a_single_volume_of_four_dimensions(tmp_path):
     assert volume.grid == read_grid(tmp_path / "a.png") == Grid((6, 5, 1), (1.0, 1.0, 1.0))
     image = SimpleITK.GetImageFromArray(VALUES)
     image.SetSpacing((1.0, 2.0, 3.0))
-    SimpleITK.WriteImage(SimpleITK.JoinSeries([image]), str(tmp_path / "one.nii"))
-    volume = read_volume(tmp_path / "one.nii")
+    SimpleITK.WriteImage(SimpleITK.JoinSeries([image]), str(tmp_path / "one.mha"))
+    volume = read_volume(tmp_path / "one.mha")
     np.testing.assert_array_equal(volume.values, VALUES)
     assert (volume.grid.size, volume.grid.spacing) == ((6, 5, 4), (1, 2, 3)) and read_grid(
-        tmp_path / "one.nii"
+        tmp_path / "one.mha"
     ).size == (6, 5, 4)
     line = b"NRRD0004\ntype: float\ndimension: 1\nsizes: 6\nspacings: 1\nencoding: raw\nendian: little\n\n" + bytes(24)
     refused(InputError, read_grid, laid(tmp_path, {"line.nrrd": line}) / "line.nrrd")

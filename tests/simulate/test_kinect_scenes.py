@@ -61,7 +61,7 @@ def test_noise_that_is_smooth_rounded_disparities_and_rows_without_truth():
     error = noise.disparity - flat
     assert error.std() == pytest.approx(0.3, rel=0.05)
     assert np.corrcoef(error[:, 1:].ravel(), error[:, :-1].ravel())[0, 1] == pytest.approx(np.exp(-1 / 16), abs=0.02)
-    truth = BOX + np.float32(0.3)
+    truth = BOX + np.float32(0.2)
     np.testing.assert_array_equal(simulated(truth, step=0.25, fattening=0, shadows="none").disparity, BOX + 0.25)
     truth[:7] = np.nan
     near = simulated(truth, farthest=0.5, fattening=0, shadows="none").disparity
