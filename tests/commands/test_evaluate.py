@@ -402,6 +402,7 @@ def test_no_mean_is_over_several_data_sets(tmp_path: Path, truth: Path):
         ("two", "y", "1", "0.00", "best"), ("two", "x", "1", "100.00", "too few scenes"),
     ]  # fmt: skip
     assert "all scenes" not in (tmp_path / "out" / "report.md").read_text()
+    told(headline_text(report))
     assert {h["scenes"] for h in report.to_dict()["headlines"] if h["data_set"] == "one"} == {2}
 
 
@@ -413,11 +414,12 @@ def test_the_terminal_shows_the_headline_within_100_columns(tmp_path: Path, trut
         name = f"aggregation.window={k},optimization.p1=0.5,optimization.p2=2.0,cost.name=census"
         maps = {s: GOOD + rng.normal(0, spread, SHAPE).astype(np.float32) for s in "abcdefgh"}
         runs.append(run_of(tmp_path / name, maps))
-    out, err = tool.both(0, "evaluate", *runs, "--truth", truth, "-o", report.parent)
+    out, err = tool.both(0, "evaluate", *runs, "--truth", truth, "-o", report.parent, "--html")
     lines = out.splitlines()
     assert max(map(len, lines)) <= 100 and len(lines) <= 12
     assert [line.split()[-1] for line in lines[3:6]] == ["best", "significant", "worse"]
-    assert str(report) in err and "every metric" in report.read_text()
+    assert str(report.parent) in err and "every metric" in report.read_text()
+    assert "Spread over the scenes (bad 1, %, nonocc)" in report.with_suffix(".html").read_text("utf-8")
     chosen = tool.out(0, "evaluate", *runs, "--truth", truth, "--tables", "metrics-all,scenes")
     assert "every metric, all" in chosen and "by scene" in chosen and "every metric, disc" not in chosen
 
