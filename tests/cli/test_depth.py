@@ -162,6 +162,8 @@ def test_a_single_map_of_far_things(tmp_path: Path, tool):
         np.testing.assert_allclose(depth[5, [0, 20]], [710 * 0.54 / 22, 710 * 0.54 / 2.5], rtol=1e-6)
         assert codes[0, 0] == codes[5, 20] == 0
     line = ("depth", tmp_path / "map.pfm", *known[2:], "-o")
+    laid(tmp_path, {"empty.pfm": values * np.nan})
+    tool.told(0, "depth", tmp_path / "empty.pfm", *known, "-o", tmp_path / "e")
     assert "beyond" not in tool.err(0, *line, tmp_path / "k", *known[:2], "--depth-scale", "256")
     assert run(*line, tmp_path / "h", "--focal", "50", "--baseline", "0.1") == 0
     cloud = vertices(tmp_path / "h/map/points.ply")["xyz"]

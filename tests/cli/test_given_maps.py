@@ -179,6 +179,9 @@ def test_a_single_pair_and_a_scene_without_a_right_image(two_scenes: Path, maps:
     planned = (*one, given, "--scenes", NAMES[0], "--dry-run", "--json", "--max-disparity")
     low, high = (json.loads(tool.out(0, *planned, top))["scenes"][0]["memory"] for top in ("20", "90"))
     assert high - low == peak_bytes((64, 96), 90, 1) - peak_bytes((64, 96), 20, 1) > 0
+    names = {f"net/{name}_{what}.pfm": b"no map" for name in NAMES for what in ("flow", "guess")}
+    laid(tmp_path, names | {f"net/{name}_flow.pfm": np.full((64, 96), 3, np.float32) for name in NAMES})
+    tool.told(0, *(word for word in one if word != "-q"), tmp_path / "net")  # another program's names
 
 
 def test_witnesses_right_maps_and_evaluation(two_scenes: Path, maps: Path, tmp_path: Path, tool):

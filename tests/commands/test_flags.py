@@ -128,7 +128,7 @@ def test_labels_of_a_map_are_regions_of_their_own(pairs, tool):
 def test_a_mask_that_cannot_be_used_is_left_out_and_said(pairs, tool):
     volume = read_volume(pairs / "pair_0" / "fixed.nii.gz")
     good = np.ones(volume.values.shape, np.uint8)
-    write_masks(pairs / "pair_0", good=good, liver=good, organs=2 * good)
+    write_masks(pairs / "pair_0", good=good, liver=good, organs=2 * (volume.values > 0))
     (pairs / "pair_0" / "meta.json").write_text('{"labels": {"organs": {"liver": 2}}}')
     write_array(pairs / "pair_0" / "mask_small.nii.gz", Grid((4, 4, 4), volume.grid.spacing), good[:4, :4, :4])
     (pairs / "pair_1" / "mask_cut.nii.gz").write_bytes((pairs / "pair_0" / "mask_good.nii.gz").read_bytes()[:100])
@@ -137,7 +137,8 @@ def test_a_mask_that_cannot_be_used_is_left_out_and_said(pairs, tool):
         document = json.loads(out)
         assert [line.partition(":")[0] for line in err.splitlines()] == ["pair_0", "pair_0", "pair_1"]
         assert "another grid" in err and "mask_cut.nii.gz" in err and "two regions are called liver" in err
-        assert "region_95_good" in document["scenes"][0] and {each["error"] for each in document["scenes"]} == {""}
+        assert document["scenes"][0]["region_volume_liver"] == document["scenes"][0]["region_volume_good"] > 0
+        assert {each["error"] for each in document["scenes"]} == {""}
 
 
 ROWS = [
