@@ -1,5 +1,6 @@
 """Bad files: pixels or an InputError in one printable line, silence on stderr, and no hang."""
 
+import json
 import os
 import re
 import socket
@@ -13,6 +14,7 @@ from depthcli.io.formats.calibrations import read_geometry, read_rig
 from depthcli.io.formats.disparity import map_npy, read_plane
 from depthcli.io.formats.files import read_bytes, short_path, shown
 from depthcli.io.formats.images import image_size, read_image
+from depthcli.io.formats.networks import network_path, read_network
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.find import ALL_KINDS, chosen_scenes, discover_scenes
 from depthcli.io.scenes.pairs import scenes_of_table
@@ -168,6 +170,13 @@ def test_arrays_that_announce_terabytes(tmp_path: Path):
     path = tmp_path / "a.npy"
     path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + bytes(64))
     refused(InputError, map_npy, path)
+
+
+@pytest.mark.parametrize("number", [float("nan"), 1e99])
+def test_a_network_with_a_number_that_is_none(tmp_path: Path, number: float):
+    content = json.loads(network_path("accurate").read_text())
+    content["layers"][1]["offsets"][0] = number
+    refused(InputError, read_network, laid(tmp_path, {"a.json": content}) / "a.json")
 
 
 def test_names_of_scenes_are_unique(tmp_path: Path):
