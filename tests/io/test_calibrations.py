@@ -9,118 +9,71 @@ import pytest
 from depthcli.core.errors import InputError
 from depthcli.io.calibration_photos import find_photos
 from depthcli.io.formats.calibrations import read_color_infrared_rig, read_geometry, read_rig
+from tests.boards import opencv
+from tests.cli.test_rectify import RIGS, SIZE, geometries, rig
 from tests.files import laid
 from tests.golden import refused, told, warned
 
-SIZE = (672, 376)
-ROS = """image_width: 672
-image_height: 376
-distortion_model: plumb_bob
-camera_matrix: {data: [400, 0, 336, 0, 400, 188, 0, 0, 1]}
-distortion_coefficients: {data: [0, 0, 0, 0, 0]}
-rectification_matrix: {data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}
-projection_matrix: {data: [400, 0, 336, SHIFT, 0, 400, 188, 0, 0, 0, 1, 0]}
-"""
-ECHO = """height: 376
-width: 672
-distortion_model: plumb_bob
-d: []
-k: [400, 0, 336, 0, 400, 188, 0, 0, 1]
-r: [1, 0, 0, 0, 1, 0, 0, 0, 1]
-p: [400, 0, 336, SHIFT, 0, 400, 188, 0, 0, 0, 1, 0]
-binning_x: 0
-roi: {x_offset: 0, y_offset: 0}
----
-"""
-KALIBR = """cam0:
-  camera_model: pinhole
-  distortion_model: none
-  intrinsics: [400, 400, 336, 188]
-  resolution: [672, 376]
-cam1:
-  camera_model: pinhole
-  distortion_model: radtan
-  distortion_coeffs: [0, 0, 0, 0]
-  intrinsics: [400, 400, 336, 188]
-  resolution: [672, 376]
-  T_cn_cnm1: [[1, 0, 0, -0.1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-"""
-ZED = "".join(f"[{side}_CAM_VGA]\nfx=400\nfy=400\ncx=336\ncy=188\n" for side in ("LEFT", "RIGHT")) + (
-    "[STEREO]\nBaseline=100\n"
-)
-OPENCV = """%YAML:1.0
----
-K1: [400, 0, 336, 0, 400, 188, 0, 0, 1]
-D1: [0, 0, 0, 0]
-K2: [400, 0, 336, 0, 400, 188, 0, 0, 1]
-D2: [0, 0, 0, 0]
-R: [1, 0, 0, 0, 1, 0, 0, 0, 1]
-T: [-0.1, 0, 0]
-"""
-BOOSTER = (
-    "<a><proj_matL>400 0 336 0 0 400 188 0 0 0 1 0</proj_matL><proj_matR>400 0 336 0 0 400 188 0 0 0 1 0</proj_matR>"
-    "<baselineLR>100</baselineLR></a>"
-)
-MIDDLEBURY = "cam0=[400 0 336; 0 400 188; 0 0 1]\ncam1=[400 0 336; 0 400 188; 0 0 1]\nbaseline=100\n"
-KITTI = "P2: 400 0 336 0 0 400 188 0 0 0 1 0\nP3: 400 0 336 -40 0 400 188 0 0 0 1 0\n"
-FILES = {  # of a baseline of 0.1 m
-    "ros": [ROS.replace("SHIFT", "0"), ROS.replace("SHIFT", "-40")],
-    "echo": [ECHO.replace("SHIFT", "0"), ECHO.replace("SHIFT", "-40")],
-    "kalibr": [KALIBR], "zed": [ZED], "opencv": [OPENCV], "booster": [BOOSTER], "middlebury": [MIDDLEBURY],
-    "kitti": [KITTI], "foundation": ["400 0 336 0 400 188 0 0 1\n0.1\n"],
-}  # fmt: skip
+VGA = (672, 376)  # by which the cameras of ZED's file are chosen
 
 
-def written(folder: Path, texts: list[str]) -> list[Path]:
-    laid(folder, {f"{k}.txt": text for k, text in enumerate(texts)})
-    return [folder / f"{k}.txt" for k in range(len(texts))]
+def calibration(kind: str, folder: Path) -> list[Path]:
+    if kind in RIGS:
+        return RIGS[kind](folder, rig())[0]
+    name, text, _ = geometries(rig().rectified(SIZE, SIZE))[kind]
+    return [laid(folder, {name: text}) / name]
 
 
 @pytest.mark.parametrize(("kind", "old", "new"), [
-    ("ros", "plumb_bob", "omnidirectional"), ("ros", "-40", "0"), ("ros", r"\[400, 0, 336, -40", "[-400, 0, 336, -40"),
-    ("echo", "binning_x: 0", "binning_x: 2"), ("echo", "y_offset: 0", "y_offset: 8"),
-    ("kalibr", "cam1:(.|\n)*", ""), ("kalibr", "pinhole", "omni"), ("kalibr", "radtan", "fov"),
-    ("zed", r"\A", "CALIBRATION\n"), ("zed", "STEREO", "PAIR"), ("zed", "RIGHT_CAM_VGA", "RIGHT_CAM_HD"),
-    ("zed", "VGA", "FHD"), ("opencv", "(K1|D1|K2|D2|R|T): ", "- "), ("booster", "400 0 336 0 0", "336 0 0"),
-    ("kitti", "P2: 400", "P2: 0"), ("foundation", "336 0 400", "336 1 400"), ("foundation", "0 0 1\n", "0 0 2\n"),
+    ("ros", "plumb_bob", "omni"), ("ros2 topic echo", "binning_x: 0", "binning_x: 2"),
+    ("ros2 topic echo", "y_offset: 0", "y_offset: 8"), ("kalibr", "cam1:(.|\n)*", ""), ("kalibr", "pinhole", "omni"),
+    ("kalibr", "radtan", "fov"), ("zed", r"\A", "CALIBRATION\n"), ("zed", "STEREO", "PAIR"),
+    ("zed", "RIGHT_CAM", "RIGHT"), ("zed", "VGA", "HD"), ("opencv yml", "---(.|\n)*", "---\n- 1\n"),
+    ("booster", r"<data>\S+ \S+", "<data>"), ("kitti, color", r"P2: \S+", "P2: 0"),
+    ("foundation stereo", r" 0.0 ", " 1.0 "), ("foundation stereo", "1.0\n", "2.0\n"),
 ])  # fmt: skip
 def test_one_wrong_part_is_refused(kind: str, old: str, new: str, tmp_path: Path):
-    geometry, _ = warned(read_geometry, written(tmp_path, FILES[kind]), None, SIZE)
-    assert geometry.baseline == pytest.approx(0.1)
-    changed = [re.sub(old, new, text) for text in FILES[kind]]
-    assert changed != FILES[kind]
-    refused(InputError, warned, read_geometry, written(tmp_path, changed), None, SIZE)
+    files = calibration(kind, tmp_path)
+    geometry, _ = warned(read_geometry, files, None, VGA)
+    assert geometry.baseline == pytest.approx(rig().baseline)
+    for file in files:
+        text = file.read_text()
+        file.write_text(re.sub(old, new, text))
+        assert file.read_text() != text
+    refused(InputError, warned, read_geometry, files, None, VGA)
 
 
-@pytest.mark.parametrize("kind", ["kalibr", "zed", "middlebury", "kitti", "booster", "foundation"])
-def test_two_whole_calibrations_are_refused(kind: str, tmp_path: Path):
-    refused(InputError, read_geometry, written(tmp_path, FILES[kind] * 2))
+def test_two_whole_calibrations_and_the_left_camera_twice_are_refused(tmp_path: Path):
+    for kind in ("kalibr", "zed", "middlebury", "kitti, color", "booster", "foundation stereo"):
+        refused(InputError, read_geometry, calibration(kind, tmp_path) * 2)
+    refused(InputError, read_geometry, calibration("ros", tmp_path)[:1] * 2)
 
 
 def test_a_rotation_may_be_a_vector_and_of_messages_the_first_one_counts(tmp_path: Path):
-    (file,) = written(tmp_path, [OPENCV.replace("R: [1, 0, 0, 0, 1, 0, 0, 0, 1]", f"R: [0, 0, {np.pi / 2}]")])
+    file = opencv(tmp_path / "a.yml", rig())
+    file.write_text(re.sub(r"R: !!(.|\n)*?]", f"R: [0, 0, {np.pi / 2}]", file.read_text()))
     np.testing.assert_allclose(read_rig([file]).rotation, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
-    left, right = FILES["echo"]
-    again = right.replace("-40", "-80")
-    geometry, lines = warned(read_geometry, written(tmp_path, [left, right + again]))
-    assert geometry.baseline == pytest.approx(0.1)
-    assert any("2 parts that differ" in told(line) for line in lines)
+    left, right = calibration("ros2 topic echo", tmp_path)
+    right.write_text(right.read_text() + left.read_text())
+    geometry, lines = warned(read_geometry, [left, right])
+    assert geometry.baseline == pytest.approx(rig().baseline)
+    assert any("4 parts that differ" in told(line) for line in lines)
 
 
 def test_color_and_infrared_cameras_of_other_images(tmp_path: Path):
     """A file without a size is doubted by its principal points, one with a size is refused."""
-    (file,) = written(tmp_path, [OPENCV])
-    rig, lines = warned(read_color_infrared_rig, file, SIZE, SIZE)
-    assert not lines and rig.left.size == rig.right.size == SIZE
-    _, lines = warned(read_color_infrared_rig, file, (1344, 752), SIZE)
-    assert len(lines) == 1 and "0.txt: color: " in told(lines[0])
-    (file,) = written(tmp_path, [OPENCV + "image_width: 672\nimage_height: 376\n"])
-    assert read_color_infrared_rig(file, SIZE, SIZE).baseline == pytest.approx(0.1)
-    refused(InputError, read_color_infrared_rig, file, (640, 480), (640, 480))
-    assert read_color_infrared_rig(file, (640, 480), SIZE).left.size == (640, 480)  # such a file has only one size
+    file, double = opencv(tmp_path / "a.yml", rig()), (2 * SIZE[0], 2 * SIZE[1])
+    found, lines = warned(read_color_infrared_rig, file, SIZE, SIZE)
+    assert not lines and found.left.size == found.right.size == SIZE
+    _, lines = warned(read_color_infrared_rig, file, double, SIZE)
+    assert len(lines) == 1 and "a.yml: color: " in told(lines[0])
+    file = opencv(tmp_path / "a.yml", rig(), "K1 D1 K2 D2 R T imageSize")
+    assert read_color_infrared_rig(file, SIZE, SIZE).baseline == pytest.approx(rig().baseline)
+    refused(InputError, read_color_infrared_rig, file, double, double)
+    assert read_color_infrared_rig(file, double, SIZE).left.size == double  # such a file has only one size
     for fb in (0, -3, 1e9):
-        (file,) = written(tmp_path, [f'{{"rectified": true, "fb": {fb}}}'])
-        refused(InputError, read_color_infrared_rig, file, SIZE, SIZE)
+        laid(tmp_path, {"a.json": {"rectified": True, "fb": fb}})
+        refused(InputError, read_color_infrared_rig, tmp_path / "a.json", SIZE, SIZE)
 
 
 @pytest.mark.parametrize(("folders", "files"), [
