@@ -27,8 +27,7 @@ from depthcli.testing.inputs import assert_pure, blocky_pair, random_volume, tex
 from tests.contracts.checks import CHECKS
 from tests.contracts.inputs import KINDS, part, random_proposals, views
 from tests.golden import refused
-from tests.naive import choice as naive_choice
-from tests.naive import maps as naive_maps
+from tests.naive import choice as naive
 
 
 @pytest.mark.parametrize(("count", "height", "width", "n_disparities"), [(1, 1, 1, 1), (3, 4, 7, 20), (16, 5, 33, 9)])
@@ -40,15 +39,15 @@ def test_costs_of_maps_agree_with_the_reference(count, height, width, n_disparit
     lowest = given.compare(maps, plane, (1.4, 2.5))
     np.testing.assert_allclose(lowest, volume.costs.min(axis=2) / 100, rtol=1e-5)
     for name, most in (("cost", 1.4), ("uncut_cost", 2.5)):
-        np.testing.assert_allclose(plane[name], naive_maps.matching_costs(maps, volume.costs, 0.01, most), atol=1e-4)
+        np.testing.assert_allclose(plane[name], naive.matching_costs(maps, volume.costs, 0.01, most), atol=1e-4)
     found = np.where(plane["hidden"] > 0, 0.4, plane["contradiction"])
-    np.testing.assert_allclose(found, naive_maps.contradictions(maps, given.right, 0.4), atol=1e-4)
+    np.testing.assert_allclose(found, naive.contradictions(maps, given.right, 0.4), atol=1e-4)
     weights = np.arange(count).astype(np.float32)
     if count > 1:
-        np.testing.assert_allclose(disagreements(maps, weights), naive_maps.disagreements(maps, weights), atol=1e-4)
+        np.testing.assert_allclose(disagreements(maps, weights), naive.disagreements(maps, weights), atol=1e-4)
         assert not disagreements(maps[:1], weights[:1]).any()
     image = given.pair.color8[0]
-    np.testing.assert_allclose(hidden_jumps(maps, image), naive_maps.hidden_jumps(maps, image), atol=1e-5)
+    np.testing.assert_allclose(hidden_jumps(maps, image), naive.hidden_jumps(maps, image), atol=1e-5)
 
 
 def test_means_over_a_support_are_those_of_its_sums():
@@ -68,7 +67,7 @@ def random_scored_map(height, width, seed):
 def test_energy_agrees_with_the_reference():
     scored = random_scored_map(7, 9, 3)
     weights = neighbor_weights(texture((7, 9, 3), 2), 2.0, 10.0, 0.1)
-    expected = naive_maps.energy(scored.values, scored.slopes, scored.cost, weights, 1.5)
+    expected = naive.energy(scored.values, scored.slopes, scored.cost, weights, 1.5)
     assert energy(scored, weights, 1.5) == pytest.approx(expected, rel=1e-5)
 
 
@@ -169,11 +168,11 @@ def test_inputs_agree_with_the_reference():
     inputs = network.NetworkInputs.of(given)
     own = dict(zip(network.PROPOSAL_PLANES, inputs.own.reshape(-1, count, height, width), strict=True))
     (left, right), volume = given.pair.color8, given.volume
-    expected = naive_choice.pointwise(given.values, volume.costs, volume.scale, given.right, left.astype(float), right)
+    expected = naive.pointwise(given.values, volume.costs, volume.scale, given.right, left.astype(float), right)
     for name, plane in expected.items():
         np.testing.assert_allclose(own[name], plane, atol=2e-3, err_msg=name)
     for k, values in enumerate(given.values):
-        np.testing.assert_allclose(own["roughness"][k], naive_choice.roughness(values, slopes(values, left)), atol=1e-4)
+        np.testing.assert_allclose(own["roughness"][k], naive.roughness(values, slopes(values, left)), atol=1e-4)
     plane = {name: np.empty(given.values.shape, np.float32) for name in VIEW_PLANES}
     given.compare(given.values, plane, (0.7, 1.5))
     jumps = hidden_jumps(given.values, left)
@@ -196,7 +195,7 @@ def test_log_odds_agree_with_the_reference(height, width, count):
     given = random_proposals(height, width, 12, count)
     weights, inputs = random_network(given.kinds), network.NetworkInputs.of(given)
     rows = inputs.rows(np.arange(height * width, dtype=np.int64))
-    expected = naive_choice.log_odds(rows.astype(float), weights.mean, weights.scale, weights.layers)
+    expected = naive.log_odds(rows.astype(float), weights.mean, weights.scale, weights.layers)
     np.testing.assert_allclose(network.log_odds_of(weights, inputs), expected.T, atol=1e-3)
 
 

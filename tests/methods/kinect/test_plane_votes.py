@@ -11,7 +11,7 @@ from depthcli.methods.kinect.gap_limits import GapLimits, shadow_background, sha
 from depthcli.methods.kinect.shadows import Shadow, Shadows, measure_shadows
 from depthcli.simulate.depth_sensor import simulate_kinect
 from tests.methods.kinect._made import off, pipeline, sample_of
-from tests.naive import kinect_votes as naive
+from tests.naive import kinect as naive
 
 
 def lab_of(color):

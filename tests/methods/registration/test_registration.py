@@ -7,18 +7,20 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from depthcli.algorithms.resampling import trilinear
 from depthcli.core.context import Clock
-from depthcli.core.volumes import RegisteredPair
+from depthcli.core.volumes import Grid, RegisteredPair
 from depthcli.evaluation.statistics import correlation, ranks
 from depthcli.methods.confidence import CostCurves, measure
 from depthcli.methods.registration._search_kernels import MAX_SMALL_VALUE
-from depthcli.methods.registration.pipeline.search import monotone
+from depthcli.methods.registration.pipeline.search import RegistrationSearch, monotone
 from depthcli.methods.registration.search import displacements, search
 from depthcli.problems.registration import RegisterConfidenceConfig
 from depthcli.simulate.deformed_volumes import make_deformed_pair, smooth_noise
 from depthcli.testing.inputs import threads
 from tests.contracts.inputs import part, soft_volume
 from tests.naive import registration as naive
+from tests.scenes import DATA
 
 
 def channels(seed, shape, count=2, top=MAX_SMALL_VALUE):
@@ -210,3 +212,35 @@ def test_channels_are_the_same_at_any_contrast(name):
     volume = soft_volume(4)
     one, other = part("methods.registration.feature", name)(volume, 3 * volume + np.float32(50))
     assert np.abs(one.astype(int) - other.astype(int)).max() <= 1
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of SimpleITK, as it is imported
+def test_expected_error_after_a_registration_stopped_early():
+    """Liver MR at exhale and inhale, landmarks of an expert. Spearman of eshift is .78 to .86, and above cost0's."""
+    sitk = pytest.importorskip("SimpleITK")
+    from _thesis_registration import EARLY, THREADS, pairs, register
+
+    if not (DATA / "medical" / "liver_4dmri" / "dataset19").is_dir():
+        pytest.skip("medical/liver_4dmri/dataset19 is not in ../shared/data")
+    liver = next(pair for pair in pairs(DATA) if pair.name == "dataset19_cyc_1_6")
+    before = sitk.ProcessObject.GetGlobalDefaultNumberOfThreads()
+    sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(THREADS)
+    try:
+        transform = register(liver, **EARLY)
+    finally:
+        sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(before)
+    low = float(sitk.GetArrayViewFromImage(liver.moving).min())
+    warped = sitk.Resample(liver.moving, liver.fixed, transform, sitk.sitkLinear, low)
+    fixed, warped = (sitk.GetArrayFromImage(image) for image in (liver.fixed, warped))
+    place = liver.fixed.GetOrigin(), tuple(liver.fixed.GetDirection())
+    grid = Grid(liver.fixed.GetSize(), liver.fixed.GetSpacing(), *place)
+    result = RegistrationSearch()(RegisteredPair(fixed, warped, grid.spacing[::-1]))
+    places = (grid.to_index(liver.points) - np.array(result.start)) / np.array(result.step)
+    moved = np.array([transform.TransformPoint(point) for point in liver.points.tolist()])
+    true = np.linalg.norm(moved - liver.matches, axis=1)
+    found, cost = (trilinear(v, places).astype(float) for v in (result.expected_error, result.measures["cost0"]))
+    spearman, cost0 = (correlation(ranks(score), ranks(true)) for score in (found, cost))
+    assert true.mean() == pytest.approx(2.2, abs=0.2)
+    assert spearman >= 0.80 and spearman >= cost0 + 0.04
+    assert np.abs(found - true).mean() <= 0.9  # mm

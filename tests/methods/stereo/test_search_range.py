@@ -1,4 +1,4 @@
-"""Search ranges that do not begin at 0, and ranges that the pair itself says."""
+"""Search ranges that do not begin at 0, and what the key points of a pair say: its range, and how its rows meet."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,8 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.io.formats.disparity import read_disparity, read_pfm, read_status, write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.methods.stereo import search_range
+from depthcli.methods.stereo import rectification, search_range
+from depthcli.methods.stereo.rectification import match_views, rectify_uncalibrated
 from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, matched_range
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.problems.stereo import Stereo
@@ -181,3 +182,17 @@ def test_evaluation_and_depth_with_negative_disparities(tmp_path: Path):
     assert rows(out)["s"]["min_disparity"] == -24  # another range is another result
     assert run("depth", tmp_path / "eth3d", "-o", tmp_path / "depth", "-q") == 0
     assert abs(np.median(read_pfm(tmp_path / "depth/s/depth.pfm")) - 5 / 8) < 0.01
+
+
+def test_key_points_of_large_views_are_places_in_the_whole_views(monkeypatch):
+    small = blobs(160, 120)
+    large = cv2.resize(small, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
+    monkeypatch.setattr(rectification, "_MAX_PIXELS", small.size)
+    left, right = match_views(large, small)
+    assert len(left) > 40
+    np.testing.assert_allclose(np.median(left + 0.5 - 4 * (right + 0.5), axis=0), 0, atol=0.2)
+
+
+def test_points_that_no_geometry_explains_are_refused():
+    left, right = np.random.default_rng(0).uniform(0, 200, (2, 24, 2))
+    refused(InputError, rectify_uncalibrated, left, right, (200, 200))
