@@ -1,5 +1,7 @@
 """Files of disparities and depths: exact round trips, the formats of the benchmarks and sensors byte by byte."""
 
+import struct
+import sys
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -12,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+import depthcli
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.errors import InputError
 from depthcli.io.formats import disparity
@@ -22,17 +25,21 @@ from depthcli.io.formats.disparity import (
     known_truth,
     read_disparity,
     read_foreign_map,
+    read_mask,
     read_pfm,
     read_plane,
     write_disparity_png,
     write_pfm,
 )
 from depthcli.io.formats.images import image_size, read_image, write_png
-from depthcli.io.rgbd_frames import kinect_v1, read_kinect_raw
+from depthcli.io.rgbd_frames import kinect_v1, load_masked_frame, read_kinect_raw
+from depthcli.io.scenes.find import discover_scenes
+from depthcli.io.scenes.frames import FRAMES
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.problems.inputs import as_depth, as_image, as_map, as_volume
 from tests.files import laid
-from tests.golden import refused, warned
-from tests.scenes import DATA, needs_data
+from tests.golden import refused, saying, warned
+from tests.scenes import DATA, needs_data, true
 
 maps = hnp.arrays(np.float32, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.floats(width=32))
 PLANE = np.arange(1, 21, dtype=np.float32).reshape(4, 5)
@@ -342,3 +349,130 @@ def test_raw_kinect_codes():
     known = codes < 2047
     assert codes.max() == 2047 and known.mean() > 0.5
     assert 0.5 < np.nanmedian(kinect_v1().depth_of_raw(codes)) < 5
+
+
+@pytest.mark.parametrize("dtype", ["f2", "f4", "f8", "i1", "i2", "i4", "u4", ">i2", ">f4", ">f2", ">f8"])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_maps_of_every_kind_of_number(tmp_path: Path, dtype, compression):
+    values = np.random.default_rng(0).integers(*((0, 1 << 31) if "u" in dtype else (-100, 100)), (40, 50))
+    values = (values.astype(dtype) / (8 if "f" in dtype else 1)).astype(dtype)
+    if "f" in dtype:
+        values[0, 0], values[5, 3], values[9, 9] = np.nan, np.inf, np.finfo(dtype).max
+    order = {"byteorder": ">"} if dtype.startswith(">") else {}
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, values, compression=compression, rowsperstrip=6, **order)
+    data, read = path.read_bytes(), read_plane(path)
+    with np.errstate(over="ignore"):
+        np.testing.assert_array_equal(read, values.astype(read.dtype))
+    assert read.dtype == np.float32 if "f4" in dtype or "f8" in dtype else read.dtype.kind == values.dtype.kind
+    for size in range(0, len(data) - 4, len(data) // 25):
+        path.write_bytes(data[:size])
+        with pytest.raises(InputError):
+            read_plane(path)
+
+
+# Channels of OpenEXR.
+
+DEPTHS = np.random.default_rng(0).uniform(0.5, 3, (5, 7)).astype(np.float32)
+
+
+def exr(folder: Path, **channels: np.ndarray) -> Path:
+    OpenEXR = pytest.importorskip("OpenEXR")
+    path = folder / "a.exr"
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {name.replace("_", "."): values for name, values in channels.items()}).write(str(path))
+    return path
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+@pytest.mark.parametrize("names", [("Z",), ("V",), ("R", "G", "B"), ("R", "G", "B", "A"), ("Depth_V",)])
+def test_one_channel_of_values_of_an_exr(tmp_path: Path, dtype, names):
+    values = DEPTHS.astype(dtype)
+    channels = {name: np.ones_like(values) if name == "A" else values for name in names}
+    path = exr(tmp_path, **channels)
+    found, lines = warned(read_plane, path)
+    np.testing.assert_array_equal(found, values)
+    assert not lines and image_size(path) == (5, 7)
+
+
+def test_the_channels_that_are_left_out_are_named_and_guesses_refused(tmp_path: Path, monkeypatch, capfd):
+    path = exr(tmp_path, R=DEPTHS, G=DEPTHS + 1, B=DEPTHS + 2, Z=DEPTHS + 3)
+    found, lines = warned(read_plane, path)
+    np.testing.assert_array_equal(found, DEPTHS + 3)
+    assert "a.exr: its channel 'Z' is read" in lines[0] and "G" in lines[0]
+    refused(InputError, read_plane, exr(tmp_path, R=DEPTHS, G=DEPTHS + 1, B=DEPTHS))
+    refused(InputError, read_image, path)
+    OpenEXR = pytest.importorskip("OpenEXR")
+    parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage}, {"Z": DEPTHS}, name=name) for name in ("left", "right")]
+    OpenEXR.File(parts).write(str(path))
+    refused(InputError, read_plane, path)
+    whole = exr(tmp_path, Z=DEPTHS).read_bytes()
+    start = whole.index(b"dataWindow") + 21  # behind "dataWindow", "box2i" and a size
+    box, huge = struct.pack("<4i", 0, 0, 6, 4), struct.pack("<4i", 0, 0, 1 << 20, 1 << 20)
+    shown = whole.rindex(box)
+    assert whole[start : start + 16] == box and shown != start
+    for data in (
+        whole[:200], whole[:-20], whole[:start] + huge + whole[start + 16 :],
+        whole[:shown] + struct.pack("<4i", 0, 0, 9, 9) + whole[shown + 16 :],  # a part of a larger image
+    ):  # fmt: skip
+        path.write_bytes(data)
+        refused(InputError, read_plane, path)
+    halved = OpenEXR.Channel(DEPTHS[:4, :6].copy(), 2, 2)  # a value for each four pixels
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, {"Z": halved}).write(str(path))
+    refused(InputError, read_plane, path)
+    assert capfd.readouterr() == ("", "")  # of the library
+    path = exr(tmp_path, Z=DEPTHS)  # without the library the extra is named
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
+    refused(InputError, read_plane, path)
+
+
+# Masks are read by one rule: above half of the largest value is inside, whatever that is.
+
+INSIDE = np.zeros((24, 32), bool)
+INSIDE[6:18, 8:24] = True
+CODES = np.full(INSIDE.shape, 2000, np.uint16)
+COLOR = np.full((*INSIDE.shape, 3), 90, np.uint8)
+VIEWS = {"left.png": COLOR, "right.png": COLOR, "disp_left.pfm": np.full(INSIDE.shape, 3, np.float32)}
+
+
+def frame(folder: Path, mask: np.ndarray):
+    images = {"color.png": COLOR, "depth.png": CODES, "depth_true.png": CODES, "mask_transparent.png": mask}
+    (scene,) = discover_scenes(laid(folder, images), FRAMES)
+    return scene
+
+
+@pytest.mark.parametrize("top", [1, 2, 128, 200, 255, 1000, 65535])
+def test_any_largest_value(tmp_path: Path, top: int):
+    """In every reader, that of glass and those of an evaluation."""
+    mask = (INSIDE * top).astype(np.uint8 if top < 256 else np.uint16)
+    scene = frame(tmp_path / "a", mask)
+    found, lines = warned(read_mask, tmp_path / "a/mask_transparent.png")
+    assert not lines
+    (pair,) = discover_scenes(laid(tmp_path / "s", VIEWS | {"mask_nonocc.png": mask}), PAIRS)
+    of_truth = true(scene).masks["transparent"], true(pair).masks["nonocc"]
+    for read in (found, load_masked_frame(scene).objects, *of_truth):
+        np.testing.assert_array_equal(read, INSIDE)
+
+
+def test_masks_of_middlebury_jpeg_and_labels(tmp_path: Path):
+    three, labels = INSIDE.astype(np.uint8) * 255, INSIDE.astype(np.uint8) * 5
+    three[:3], labels[0, :4] = 128, 2
+    laid(tmp_path, {"m.png": three, "l.png": labels})
+    cv2.imwrite(str(tmp_path / "m.jpg"), cv2.GaussianBlur(INSIDE.astype(np.uint8) * 255, (3, 3), 0))
+    for name, is_said in (("m.png", False), ("m.jpg", True), ("l.png", True)):
+        found, lines = warned(read_mask, tmp_path / name)
+        np.testing.assert_array_equal(found, INSIDE)
+        assert [name in line for line in lines] == [True] * is_said
+    for value in (-1, np.nan, np.inf):
+        laid(tmp_path, {"m.npy": np.where(INSIDE, 1, value)})
+        refused(InputError, read_mask, tmp_path / "m.npy")
+
+
+def test_an_empty_mask_fails_the_glass_and_is_said_in_evaluation(tmp_path: Path):
+    scene = frame(tmp_path / "a", np.zeros(INSIDE.shape, np.uint8))
+    refused(InputError, load_masked_frame, scene)
+    refused(InputError, load_masked_frame, frame(tmp_path / "full", np.full(INSIDE.shape, 255, np.uint8)))
+    _, lines = warned(true, scene)
+    assert "mask_transparent.png: no pixel is inside" in lines[0]
+    with saying(InputError):
+        depthcli.complete_transparent(np.zeros((24, 32, 3), np.uint8), CODES, objects=np.zeros((24, 32), bool))
