@@ -171,27 +171,16 @@ def test_pairs_of_no_rig_are_refused(few: Path, tmp_path: Path, monkeypatch: pyt
     assert [each.name for each in tmp_path.iterdir()] == ["photos"]
 
 
-@pytest.mark.parametrize("names", ["left/01 right/01", "left01 right01", "cam0/01 cam1/01", "01/left 01/right"])
-def test_pairs_are_found_by_name(tmp_path: Path, names: str) -> None:
-    pairs = [[tmp_path / f"{name}.png" for name in names.replace("01", number).split()] for number in ("01", "02")]
-    laid(tmp_path, {str(file): "" for pair in pairs for file in pair})
-    photos, unnamed = find_photos([tmp_path])
-    assert [each.name for each in photos] == ["01", "02"] and unnamed == []
-    assert [[each.left, each.right] for each in photos] == pairs
-
-
-def test_numbers_of_photos_are_no_cameras(tmp_path: Path) -> None:
-    laid(tmp_path, {f"img{number}.png": np.zeros((4, 4), np.uint8) for number in range(6)})
-    photos, unnamed = find_photos([tmp_path])
-    assert len(photos) == 6 and not unnamed and all(each.right is None for each in photos)
-
-
-def test_folders_of_two_cameras_may_have_the_camera_in_their_names(tmp_path: Path) -> None:
-    for names in (("left01.png", "right01.png"), ("cam0_1.png", "cam1_1.png"), ("1.png", "1.png")):
-        files = [tmp_path / names[0] / side / name for side, name in zip("ab", names, strict=True)]
-        laid(tmp_path, {str(file): "" for file in files})
-        photos, unnamed = find_photos([file.parent for file in files])
-        assert [(each.left, each.right) for each in photos] == [tuple(files)] and unnamed == []
+@pytest.mark.parametrize(("folders", "names"), [
+    (".", "left/K right/K"), (".", "leftK rightK"), (".", "cam0/K cam1/K"), (".", "K/left K/right"), (".", "imgK"),
+    ("a b", "a/leftK b/rightK"), ("a b", "a/cam0_K b/cam1_K"), ("a b", "a/K b/K"),
+])  # fmt: skip
+def test_pairs_are_found_by_name(tmp_path: Path, folders: str, names: str) -> None:
+    """Of one folder, or of one of each camera; numbers of photos are no cameras."""
+    pairs = [[tmp_path / f"{name}.png" for name in names.replace("K", number).split()] for number in "01234"]
+    laid(tmp_path, {str(file): np.zeros((4, 4), np.uint8) for pair in pairs for file in pair})
+    photos, unnamed = find_photos([tmp_path / folder for folder in folders.split()])
+    assert [[file for file in (each.left, each.right) if file] for each in photos] == pairs and unnamed == []
 
 
 @pytest.mark.parametrize(("columns", "rows"), [(9, 6), (8, 6), (7, 7)])

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from PIL import Image
 
 import depthcli
 from depthcli.cli import command_of, main
@@ -25,7 +24,6 @@ from depthcli.core import plugins
 from depthcli.core.config_file import find_config, load_config
 from depthcli.evaluation.sweeps import parse_axes
 from depthcli.io.formats.disparity import read_disparity, read_pfm
-from depthcli.io.formats.images import read_image
 from depthcli.methods.stereo.pipeline.opencv_sgbm import OpencvSgbm
 from tests.command_line import ended, rows, run
 from tests.files import laid
@@ -71,19 +69,6 @@ def test_a_range_that_nothing_gives_is_that_of_the_pair_with_a_warning(two_scene
         assert (tmp_path / "r" / file).read_bytes() == (tmp_path / "auto" / file).read_bytes()
     laid(scenes / "planes_0", dict.fromkeys(("left.png", "right.png"), np.zeros((48, 64), np.uint8)))  # nothing there
     tool.told(3, *line, tmp_path / "r")
-
-
-def test_photos_stored_sideways_are_matched_upright(made_scenes: Path, tmp_path: Path, tool):
-    for view in ("left", "right"):
-        sideways = Image.fromarray(np.rot90(read_image(made_scenes / "planes_0" / f"{view}.png")))
-        sideways.getexif()[274] = 6  # to be turned clockwise
-        (tmp_path / "in/planes_0").mkdir(parents=True, exist_ok=True)
-        sideways.save(tmp_path / f"in/planes_0/{view}.png", exif=sideways.getexif())
-    line = ("stereo", FAST, "--max-disparity", "16", "-i")
-    assert run(*line, made_scenes, "--scenes", "planes_0", "-o", tmp_path / "upright") == 0
-    assert tool.err(0, *line, tmp_path / "in", "-o", tmp_path / "turned").count("EXIF") == 2  # a line a view
-    one, other = ((tmp_path / name / "planes_0/disp_left.pfm").read_bytes() for name in ("upright", "turned"))
-    assert one == other and "EXIF" in (tmp_path / "turned/report.csv").read_text()
 
 
 def test_presets_are_listed_and_shown(tool):
@@ -332,17 +317,6 @@ def test_shells_complete_names_and_keys(words: str, completed: set[str], not_com
 def test_sizes_have_units_of_1000_or_of_1024():
     sizes = {"2GiB": 2 << 30, "500M": 500 * 10**6, "1.5 kB": 1500, "64KiB": 1 << 16, "1e9": 10**9}
     assert {text: parse_bytes(text) for text in sizes} == sizes
-
-
-def test_identical_and_flat_images_are_named_in_the_record(tmp_path: Path) -> None:
-    image = np.random.default_rng(0).integers(0, 255, (40, 60), np.uint8)
-    laid(tmp_path / "pairs" / "same", {"left.png": image, "right.png": image})
-    laid(tmp_path / "pairs" / "flat", {"left.png": image, "right.png": np.full_like(image, 9)})
-    line = ("stereo", FAST, "-i", tmp_path / "pairs", "-o", tmp_path / "run", "--max-disparity", "16", "-q")
-    assert run(*line) == 0
-    same, flat = (str(rows(tmp_path / "run")[name]["warnings"]) for name in ("same", "flat"))
-    assert "images are the same" in same and "right image has one level" not in same
-    assert "right image has one level" in flat and "left image" not in flat
 
 
 def test_the_largest_need_of_a_scene(two_scenes: Path, tmp_path: Path):

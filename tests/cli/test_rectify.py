@@ -537,15 +537,6 @@ def test_without_calibration(pinhole: Shot, tmp_path: Path, tool):
     tool.told(0, "rectify", *pair, "--uncalibrated", "-o", tmp_path / "turned")
 
 
-def test_rows_of_turned_cameras_meet_without_their_calibration():
-    taken, rng = rig(), np.random.default_rng(0)
-    points = np.column_stack([rng.uniform(-0.5, 0.5, (300, 2)), np.ones(300)]) * rng.uniform(1, 5, (300, 1))
-    left = Camera(taken.left.matrix).project(points)
-    right = Camera(taken.right.matrix).project(points @ taken.rotation.T + taken.translation)
-    found = rectify_uncalibrated(left, right, SIZE)
-    assert row_error(left, right) > 1.5 > 0.25 > row_error(*found.points(left, right))
-
-
 def test_points_that_no_two_cameras_explain_are_refused():
     """Half of the rows off by two pixels: no pair is made of them."""
     rng = np.random.default_rng(1)

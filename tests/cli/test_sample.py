@@ -8,13 +8,12 @@ import pytest
 from skimage.data import stereo_motorcycle
 
 from depthcli.io.formats.calibrations import read_geometry
-from depthcli.io.formats.images import read_image
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.simulate import samples
 from depthcli.simulate.stereo_scenes import Radiometry, make_scene
-from tests.command_line import contents, run
+from tests.command_line import run
 from tests.scenes import load, true
 
 SMALL = ("--width", "64", "--height", "48", "--max-disparity", "10")
@@ -59,18 +58,6 @@ def test_the_real_pair_is_written_with_its_source(tmp_path: Path, monkeypatch: p
     monkeypatch.setitem(samples._REAL_FILES, "left", "missing.png")  # in a build of scikit-image without the pair
     error = tool.err(2, "sample", "--real", "-o", tmp_path / "out")
     assert "missing.png" in error and "--real" in error and error.count("\n") == 1
-
-
-@pytest.mark.slow
-def test_same_options_same_bytes_and_a_second_run_keeps_them(tmp_path: Path):
-    options = ("--cross-modal", "--speckles", "0.02", "--noise", "3")
-    for name, jobs in (("a", "1"), ("b", "2")):
-        assert sample(tmp_path / name, *options, "--jobs", jobs) == 0
-    assert contents(tmp_path / "a") == contents(tmp_path / "b")
-    stamps = {p: p.stat().st_mtime_ns for p in (tmp_path / "a").rglob("*.png")}
-    assert sample(tmp_path / "a", *options) == 0
-    assert stamps == {p: p.stat().st_mtime_ns for p in (tmp_path / "a").rglob("*.png")}
-    assert read_image(tmp_path / "a" / "planes_0" / "left.png").ndim == 2
 
 
 def test_cross_modal_keeps_the_truth(tmp_path: Path, tool):

@@ -84,19 +84,6 @@ def rows(output: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
-    half = GOOD.copy()
-    half[:12] += 2
-    half[0, 20] = np.nan
-    runs = [run_of(tmp_path / "perfect"), run_of(tmp_path / "half", {"a": half, "b": half})]
-    report = evaluated(runs, truth, tmp_path / "out")
-    assert chosen_text(report, ["scenes"], ["all"]).splitlines()[1].split() == ["scene", "run", "all"]
-    assert report.failed == report.warnings() == []
-    picture, colors = read_image(tmp_path / "out" / "errors" / "half" / "a.png"), kind_colors()
-    assert tuple(picture[0, 10]) == tuple(colors[WRONG]) and tuple(picture[20, 10]) == tuple(colors[RIGHT])
-    assert tuple(colors[EMPTY]) == NO_VALUE == tuple(draw(View(np.full((1, 1), np.nan)), "values")[0, 0])
-
-
 def test_maps_of_other_programs_and_scene_names_without_their_data_set(tmp_path: Path, truth: Path):
     laid(tmp_path, {
         "flat/a.png": (GOOD * 8).astype(np.uint8), "flat/b.npy": np.rint(GOOD * 16).astype(np.int16),  # as OpenCV
@@ -248,6 +235,9 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     poor[:12] += 3
     runs = [run_of(tmp_path / "both", {"a": GOOD, "b": poor}), run_of(tmp_path / "easy", {"a": GOOD})]
     report = evaluated(runs, truth, tmp_path / "out")
+    picture, colors = read_image(tmp_path / "out" / "errors" / "both" / "b.png"), kind_colors()
+    assert tuple(picture[0, 10]) == tuple(colors[WRONG]) and tuple(picture[20, 10]) == tuple(colors[RIGHT])
+    assert tuple(colors[EMPTY]) == NO_VALUE == tuple(draw(View(np.full((1, 1), np.nan)), "values")[0, 0])
     means = {(m["run"], m["metric"], m["mask"], m["threshold"]): m for m in report.to_dict()["means"]}
     full, lacking = (means[run, "bad", "all", 1.0] for run in ("both", "easy"))
     assert (full["value"], full["scenes"], full["missing"], full["common"], full["value_common"]) == (25, 2, 0, 1, 0)
@@ -364,7 +354,7 @@ def test_nothing_to_evaluate_and_options_that_do_not_fit(tmp_path: Path, truth: 
     for options in (
         ("--format", "word"), ("--pattern", "y={scene}.png"), ("--pattern", "../{scene}.png"), ("--scale", "0"),
         ("--invalid", "1", "--invalid", "2"), ("--compare", "some"), ("--tables", "metric"),
-        ("--tables", "metrics-edges"), ("--tables", "all,metrics-edges"),
+        ("--tables", "metrics-edges"), ("--tables", "all,metrics-edges"), ("--html",),
         ("--format", "latex", "--tables", "scenes", "--caption", "x"),
     ):  # fmt: skip
         tool.told(2, *line, *options)

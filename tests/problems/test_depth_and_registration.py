@@ -1,7 +1,6 @@
 """``refine_depth``, ``complete_transparent`` and ``registration_confidence`` from Python."""
 
 import itertools
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from depthcli.problems.kinect import RefineKinect, RefineKinectConfig
 from depthcli.run.job import Outcome
 from depthcli.simulate.deformed_volumes import make_deformed_pair
 from tests.command_line import contents, run
-from tests.files import laid
 from tests.golden import refused, saying
 
 
@@ -88,17 +86,11 @@ def test_a_wrong_unit_is_said(depth: Any, words: tuple[str, ...]):
         assert bool(depthcli.evaluate(depth, DEPTH, "depth").warnings) == bool(words)
 
 
-def test_what_is_a_measured_depth_is_the_same_for_the_command(tmp_path: Path):
+def test_what_is_a_measured_depth():
     truth, estimate = np.ones((4, 6), np.float32), np.ones((4, 6), np.float32)
     estimate[0], estimate[1], truth[3] = 0, -1, 0
     scores = depthcli.evaluate(estimate, truth, "depth")
     assert scores.value("coverage", "all") == pytest.approx(100 / 3)
-    laid(tmp_path / "truth/one", {"color.png": COLOR[:4, :6], "depth.pfm": truth, "depth_true.pfm": truth})
-    laid(tmp_path / "run/one", {"depth.pfm": estimate})
-    words = ["--truth", tmp_path / "truth", "--protocol", "depth", "-q", "-o", tmp_path / "e"]
-    assert run("evaluate", tmp_path / "run", *words) == 0
-    rows = json.loads((tmp_path / "e" / "scores.json").read_text())["results"][0]["scores"]
-    assert {row["metric"]: row["value"] for row in rows if row["mask"] == "all"}["coverage"] == pytest.approx(100 / 3)
 
 
 def test_what_cannot_be_used_is_refused():

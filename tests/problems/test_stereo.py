@@ -103,6 +103,8 @@ def test_wrong_configs_and_images_are_refused(pair: Images):
     ):  # fmt: skip
         refused(depthcli.InputError, depthcli.stereo, left, right, 4, "fast")
     refused(depthcli.InputError, depthcli.stereo, np.zeros((40, 60), np.uint8), np.zeros((40, 60), np.uint8))
+    for right in (pair[0], np.full_like(pair[0], 9)):
+        told("\n".join(depthcli.stereo(pair[0], right, 12, "opencv-bm").warnings))
 
 
 def test_the_pair_gives_a_range_that_is_not_given(pair: Images):

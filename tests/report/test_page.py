@@ -161,10 +161,6 @@ def test_a_missing_map_and_a_single_run(tmp_path: Path, scenes: Path, runs: list
     assert "has the best mean" not in Reader(output).text
 
 
-def test_html_wants_a_folder(scenes: Path, runs: list[Path], tool):
-    tool.told(2, "evaluate", runs[0], "--truth", scenes, "--html")
-
-
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-7.5, 200.3), (500.0, 9000.0), (3.0, 3.0)])
 def test_packing(low: float, high: float):
     rng = np.random.default_rng(3)

@@ -24,7 +24,6 @@ from depthcli.report.packing import unpack
 from depthcli.report.scene_view import view_with_truth
 from depthcli.report.without_truth import _doubt
 from tests.files import laid
-from tests.golden import told
 from tests.report.conftest import ODD
 from tests.report.test_page import Reader, registration_truth
 
@@ -161,24 +160,6 @@ def test_frames_of_a_sensor_show_their_bound(tmp_path: Path):
         depth = read_grey(tmp_path / "set" / scene["name"] / "depth.png")
         np.testing.assert_array_equal(np.isnan(sensor), depth == 0)
         np.testing.assert_allclose(sensor[depth > 0], depth[depth > 0], atol=1)
-
-
-def test_frames_of_a_sequence_are_shown_each_and_one_without_a_map_has_the_reason(tmp_path: Path):
-    rng = np.random.default_rng(0)
-    for k in range(3):
-        depth = (1000 + rng.normal(0, 5, SIZE)).astype(np.uint16) if k != 1 else b"damaged"
-        color = rng.integers(0, 256, (*SIZE, 3), np.uint8)
-        laid(tmp_path / "set" / "seq", {f"color_0000{k}.png": color, f"depth_0000{k}.png": depth})
-    words = ["-i", str(tmp_path / "set"), "-o", str(tmp_path / "run"), "--html", "-q"]
-    assert main(["refine-kinect", "sequence", *words]) == 0
-    reader = Reader(tmp_path / "run" / "evaluation")
-    first, *others = reader.tables[0][1:]
-    assert first[0] == "seq/00001" and sorted(row[:2] for row in others) == [
-        ["seq/00000", "done"],
-        ["seq/00002", "done"],
-    ]
-    told(first[1])
-    assert sorted(scene["name"] for scene in reader.scenes()) == ["seq/00000", "seq/00002"]
 
 
 def test_a_registration_without_landmarks(volumes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
