@@ -44,22 +44,8 @@ def test_own_share_is_the_diagonal_of_the_filter(dimensions, spread):
     np.testing.assert_allclose(own, np.diag(matrix), atol=0.03 * density.max())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("dimensions", [2, 3, 5, 6])
-@pytest.mark.parametrize(("labels", "truncation"), [(1, 1), (2, 1), (5, 9), (12, 4), (17, 1)])
-def test_marginals_are_those_of_all_pairs(dimensions, labels, truncation):
-    """The lattice's kernel is not quite a Gaussian: marginals may be 0.03 off, 0.002 in the mean."""
-    near, wide, unary = _features(1, 300, dimensions, 2), _features(2, 300, 2, 5), _unary(3, 300, labels)
-    ours = mean_field(unary, [GaussianKernel(near, 1.0), GaussianKernel(wide, 0.3)], truncation)
-    matrices = [naive.kernel_matrix(near), naive.kernel_matrix(wide)]
-    exact = naive.mean_field(unary, matrices, [1.0, 0.3], _linear(labels, truncation), 5)
-    assert np.abs(ours - exact).max() < 0.03 and np.abs(ours - exact).mean() < 0.002
-    np.testing.assert_allclose(ours.sum(axis=1), 1, atol=1e-5)
-
-
-@pytest.mark.slow
 def test_marginals_agree_with_the_naive_reference_for_the_kernel_of_the_lattice():
-    features, unary = _features(4, 200, 3, 2), _unary(5, 200, 7)
+    features, unary = _features(4, 80, 3, 2), _unary(5, 80, 7)
     expected = naive.mean_field(unary, [naive.lattice_matrix(features.astype(float))], [2.0], _linear(7, 3), 4)
     ours = mean_field(unary, [GaussianKernel(features, 2.0)], 3, 4)
     np.testing.assert_allclose(ours, expected, atol=2e-3)
@@ -81,15 +67,20 @@ def test_points_of_different_bands_hear_each_other():
     assert (ours[17_000:].argmax(axis=1) == 0).mean() > 0.99
 
 
-@pytest.mark.parametrize("count", [0, 1, 63, 64, 65])
-@pytest.mark.parametrize(("labels", "truncation"), [(1, 2), (2, 2), (16, 2), (33, 5), (64, 8), (83, 30), (130, 200)])
-def test_sizes_around_the_tiles(count, labels, truncation):
-    features, unary = _features(17, count, 2, 2), _unary(18, count, labels)
-    ours = mean_field(unary, [GaussianKernel(features, 1.0)], truncation)
+@pytest.mark.parametrize(("count", "dimensions"), [
+    (0, 2), (1, 2), (63, 2), (64, 2), (65, 2), *((300, dimensions) for dimensions in (2, 3, 5, 6))])  # fmt: skip
+@pytest.mark.parametrize(("labels", "truncation"), [
+    (1, 1), (2, 1), (5, 9), (12, 4), (16, 2), (17, 1), (33, 5), (64, 8), (83, 30), (130, 200)])  # fmt: skip
+def test_marginals_are_those_of_all_pairs(count, dimensions, labels, truncation):
+    """At sizes around the tiles. The lattice's kernel is not quite a Gaussian: 0.03 off, 0.002 in the mean of many."""
+    near, wide, unary = _features(1, count, dimensions, 2), _features(2, count, 2, 5), _unary(3, count, labels)
+    ours = mean_field(unary, [GaussianKernel(near, 1.0), GaussianKernel(wide, 0.3)], truncation)
     assert ours.shape == (count, labels)
     if count:
-        expected = naive.mean_field(unary, [naive.kernel_matrix(features)], [1.0], _linear(labels, truncation), 5)
-        assert np.abs(ours - expected).max() < 0.03
+        matrices = [naive.kernel_matrix(near), naive.kernel_matrix(wide)]
+        exact = naive.mean_field(unary, matrices, [1.0, 0.3], _linear(labels, truncation), 5)
+        assert np.abs(ours - exact).max() < 0.03 and (np.abs(ours - exact).mean() < 0.002 or count < 300)
+        np.testing.assert_allclose(ours.sum(axis=1), 1, atol=1e-5)
 
 
 @pytest.mark.parametrize("features", [np.full((4, 2), np.nan), np.eye(4, 6) * 1e6])

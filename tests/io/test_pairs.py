@@ -196,16 +196,27 @@ def test_both_views_in_one_file(tmp_path: Path, halves: str, tool):
         tool.told(3, *line, "--left", both, *how, "-o", tmp_path / "r")
 
 
-def test_options_that_do_not_go_together(tmp_path: Path):
-    put(tmp_path, "l.png", "r.png", "in/left/1.png", "in/right/1.png")
-    pair = {"input": None, "layout": None, "name": None, "left": tmp_path / "l.png", "right": tmp_path / "r.png"}
-    (scene,) = find_scenes(PAIRS, pair | {"name": "a"}, "--left")
-    assert (scene.name, scene.left) == ("a", tmp_path / "l.png")
+def test_files_are_named_in_four_ways_that_do_not_go_together(tmp_path: Path, tool):
+    """By a folder, a table and patterns the same pairs are found, each with its files."""
+    table = laid(tmp_path, {"t.csv": "in/left/1.png,in/right/1.png\nin/left/2.png,in/right/2.png\n"}) / "t.csv"
+    put(tmp_path / "in", "left/1.png", "left/2.png", "right/1.png", "right/2.png")
     folder = {"input": tmp_path / "in", "layout": None, "name": None}
-    assert [scene.name for scene in find_scenes(PAIRS, folder, "--left")] == ["1"]
-    refused(ConfigError, find_scenes, PAIRS, pair, "--left", with_truth=True)
-    for options in (pair | {"input": tmp_path / "in"}, folder | {"name": "a"}, folder | {"input": None}):
+    globs = folder | {"input": None} | {side: tmp_path / "in" / side / "*.png" for side in ("left", "right")}
+    pair = globs | {side: tmp_path / "in" / side / "1.png" for side in ("left", "right")}
+    files = [(str(k), tmp_path / f"in/left/{k}.png", tmp_path / f"in/right/{k}.png") for k in (1, 2)]
+    for options, expected in (
+        (folder, files), (folder | {"input": table}, files), (globs, files), (pair, files[:1]),
+        (pair | {"name": "a"}, [("a", *files[0][1:])]),
+    ):  # fmt: skip
+        found = find_scenes(PAIRS, options, "--left")
+        assert [(scene.name, scene.left, scene.right) for scene in found] == expected
+    for options in (pair | {"input": table}, folder | {"name": "a"}, globs | {"name": "a"}, folder | {"input": None}):
         refused(ConfigError, find_scenes, PAIRS, options, "--left")
+    for options in (pair, folder | {"input": table}, folder | {"input": Path("-")}):
+        refused(ConfigError, find_scenes, PAIRS, options, "--left", with_truth=True)
+    refused(ConfigError, find_scenes, FRAMES, folder | {"input": table}, "--depth")
+    refused(InputError, find_scenes, PAIRS, globs, "--left", ["absent*"])
+    tool.told(2, "stereo", "opencv-bm", "-i", table, "-o", "-")
 
 
 def find(folder: Path) -> dict[str, StereoScene]:
@@ -246,30 +257,6 @@ def test_layouts_of_many_pairs_in_a_folder(tmp_path: Path):
     assert [scene.layout for scene in find(tmp_path / "a").values()] == ["scenes"]
     put(tmp_path / "b", "disp_left.png", "disp_right.png")
     refused(InputError, find, tmp_path / "b")
-
-
-@pytest.mark.slow
-def test_the_command_line(tmp_path: Path, made_scenes: Path, tool):
-    for name in ("planes_0", "planes_1"):
-        laid(tmp_path, {f"{s}/{name}.png": (made_scenes / name / f"{s}.png").read_bytes() for s in ("left", "right")})
-    table = tmp_path / "pairs.csv"
-    table.write_text("left/planes_0.png,right/planes_0.png\nleft/planes_1.png,right/planes_1.png\n")
-    stereo, how = ("stereo", "opencv-bm"), ("--max-disparity", "12", "-q", "-o")
-    globs = ("--left", tmp_path / "left/*.png", "--right", tmp_path / "right/*.png")
-    ways = {
-        "scenes": ("-i", made_scenes, "--scenes", "planes_[01]"), "globs": globs, "views": ("-i", tmp_path),
-        "table": ("-i", table),
-    }  # fmt: skip
-    for name, given in ways.items():
-        assert run(*stereo, *given, *how, tmp_path / name) == 0
-        for file in ("planes_0/disp_left.pfm", "planes_1/disp_left.pfm"):
-            assert (tmp_path / name / file).read_bytes() == (tmp_path / "scenes" / file).read_bytes()
-    tool.told(2, *stereo, *globs, *how, tmp_path / "x", "--name", "a")
-    assert run(*stereo, *globs, *how, tmp_path / "x", "--scenes", "absent*") == 2
-    for given in (table, "-"):
-        assert run(*stereo, "-i", given, *how, tmp_path / "x", "--evaluate") == 2
-    assert run(*stereo, "-i", table, *how, "-") == 2
-    assert run("refine-kinect", "nearest", "-i", table, "-o", tmp_path / "x") == 2
 
 
 def test_patterns_are_suggested_where_no_layout_fits(tmp_path: Path, tool) -> None:
