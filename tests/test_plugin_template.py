@@ -73,15 +73,6 @@ def test_its_readme_names_the_base_of_every_registry():
     assert of_bases == {registry for package, registry in registries.items() if package.startswith("depthcli.")}
 
 
-def test_it_is_listed(env: Environment):
-    own = "--plugin", PACKAGE
-    assert "constant Write the same disparity everywhere." in " ".join(env.run(*own, "--help").stdout.split())
-    presets = env.run("presets", *own).stdout
-    assert re.search(r"stereo squared +\(depthcli-example 1\.[01]\) Squared differences, averaged", presets), presets
-    assert "cost:\n  # ``(I(y, x)" in env.run("presets", "show", "stereo/squared", *own).stdout
-    assert "# disparity of every pixel, pixels\ndisparity: 5.0" in env.run("presets", "show", "five", *own).stdout
-
-
 def test_it_runs_is_evaluated_and_is_refused_with_another_version(env: Environment):
     stereo = ["stereo", "fast", "-i", "scenes", "-o", "squared", "--jobs", "2", "--set", "cost=squared-difference"]
     stereo += ["--plugin", PACKAGE]

@@ -16,12 +16,12 @@ from tests.files import laid
 V3, ETH = (BENCHMARKS[name] for name in ("middlebury-v3", "eth3d"))
 
 
-def run_of(folder: Path, scenes: Iterable[str], size: Callable[[str], int], prefix: str = "", **facts: object) -> Path:
+def run_of(folder: Path, scenes: Iterable[str], size: Callable[[str], int], **facts: object) -> Path:
     """A run with a map of 3 rows a scene, 20 px and 1/256 px more from scene to scene."""
     rows, done = [], {"status": "done", "height": 3, "seconds": {"a": 1.0, "b": 0.25}, **facts}
     for n, scene in enumerate(scenes):
-        rows.append({"scene": prefix + scene, "width": size(scene), **done})
-        laid(folder / prefix / scene, {"disp_left.pfm": np.full((3, size(scene)), 20 + n / 256, np.float32)})
+        rows.append({"scene": scene, "width": size(scene), **done})
+        laid(folder / scene, {"disp_left.pfm": np.full((3, size(scene)), 20 + n / 256, np.float32)})
     return laid(folder, {"report.json": {"scenes": rows}})
 
 
@@ -48,6 +48,18 @@ def test_middlebury(tmp_path: Path):
     assert len(zipfile.ZipFile(b).namelist()) == 30
     assert run(*line(made, "middlebury-v3", c)) == 0
     assert a.read_bytes() == c.read_bytes()
+    # Maps with holes are named so.
+    name, values = "testQ/Plants/disp0OUR-1_s.pfm", np.full((3, 700), 5, np.float32)
+    values[1, 1] = np.nan
+    write_pfm(made / "Plants" / "disp_left.pfm", values)
+    words = (made, "middlebury-v3", tmp_path / "s.zip")
+    assert run(*line(*words)) == 2
+    assert run(*line(*words, "--sparse")) == 0
+    with zipfile.ZipFile(tmp_path / "s.zip") as archive:
+        archive.extract(name, tmp_path)
+    assert np.array_equal(read_disparity(tmp_path / name), values, equal_nan=True)
+    assert run(*line(*words, "--sparse")) == 2  # it is there
+    assert run(*line(*words, "--sparse", "--overwrite")) == 0
 
 
 def test_middlebury_refuses_with_all_reasons(tmp_path: Path, tool):
@@ -64,21 +76,6 @@ def test_middlebury_refuses_with_all_reasons(tmp_path: Path, tool):
     laid(made, {"report.json": {"scenes": rows}, "Piano/left.png": np.zeros((4, 700), np.uint8)})
     tool.told(2, *line(made, "middlebury-v3", tmp_path / "a.zip", "--method", "our name"))
     assert not (tmp_path / "a.zip").exists()
-
-
-def test_sparse_maps_are_named_so(tmp_path: Path):
-    made, name = run_of(tmp_path / "run", V3.scenes[TEST], quarter, prefix="testQ/"), "testQ/Plants/disp0OUR-1_s.pfm"
-    values = np.full((3, 700), 5, np.float32)
-    values[1, 1] = np.nan
-    write_pfm(made / "testQ" / "Plants" / "disp_left.pfm", values)
-    words = (made, "middlebury-v3", tmp_path / "a.zip")
-    assert run(*line(*words)) == 2
-    assert run(*line(*words, "--sparse")) == 0
-    with zipfile.ZipFile(tmp_path / "a.zip") as archive:
-        archive.extract(name, tmp_path)
-    assert np.array_equal(read_disparity(tmp_path / name), values, equal_nan=True)
-    assert run(*line(*words, "--sparse")) == 2  # it is there
-    assert run(*line(*words, "--sparse", "--overwrite")) == 0
 
 
 @pytest.mark.parametrize(("name", "folder", "frames"), [("kitti-2012", "", 195), ("kitti-2015", "disp_0/", 200)])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 import depthcli
 from depthcli.core import memory
 from depthcli.io.formats.images import read_image
-from tests.command_line import contents, in_threads, run
+from tests.command_line import in_threads
 from tests.golden import refused, saying, told
 
 Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]
@@ -20,17 +20,6 @@ Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 def pair(made_scenes: Path) -> Images:
     left, right = (read_image(made_scenes / "planes_0" / f"{side}.png") for side in ("left", "right"))
     return left, right  # type: ignore[return-value]
-
-
-def test_depth_is_that_of_the_command(tmp_path: Path, made_scenes: Path, pair: Images):
-    disparity = depthcli.stereo(*pair, max_disparity=12, preset="fast")
-    depth = disparity.to_depth(focal=80.0, baseline=0.2, doffs=1.0)
-    depth.save(tmp_path / "python")
-    depth.to_points(far=4.0).save(tmp_path / "python" / "points.ply")
-    assert run("stereo", "fast", "-i", made_scenes, "--scenes", "planes_0", "-o", tmp_path / "run", "-q") == 0
-    cameras = ["--focal", "80", "--baseline", "0.2", "--doffs", "1", "--ply", "--far", "4"]
-    assert run("depth", tmp_path / "run", "--output", tmp_path / "depth", *cameras, "-q") == 0
-    assert contents(tmp_path / "python") == contents(tmp_path / "depth" / "planes_0")
 
 
 def test_a_result_describes_itself(pair: Images):
