@@ -43,6 +43,7 @@ def test_a_method_is_a_name_or_a_mapping_and_its_fields_stand_at_the_root():
     assert (root.top, root.toy.size) == (4, (7, 9))
     assert load("toy: chest\ncost: census\n") == load("toy: chest\ncost: {method: census}\n")
     assert load("toy: chest\ncost: {method: census, window: [5, 5]}").toy.cost.window == (5, 5)
+    refused(TypeError, Family.of, "depthcli.io")  # which has no methods
 
 
 def test_symbols_are_other_names_of_keys_for_options(tmp_path: Path):
@@ -167,10 +168,6 @@ def test_any_setting_is_applied_or_a_config_error(setting: str):
         load("toy: chest\ncost: census\n", setting)
     except ConfigError as error:
         assert "--set" in str(error)
-
-
-def test_a_package_without_methods_is_no_family():
-    refused(TypeError, Family.of, "depthcli.io")
 
 
 def test_a_config_is_laid_over_its_base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -124,6 +124,8 @@ def test_urls_of_what_is_too_large_or_needs_another_package(scenes: Path, monkey
     monkeypatch.setitem(sys.modules, "s3fs", None)
     for url in ("memory://large", "memory://large.zip", "s3://large.zip"):
         refused(InputError, local, url)
+    monkeypatch.setitem(sys.modules, "fsspec", None)  # without the library the extra is named
+    refused(InputError, local, "https://127.0.0.1/x.zip")
 
 
 def test_nothing_is_written_outside_and_links_are_not_made(scenes: Path, tmp_path: Path, cache: Path, caplog) -> None:
@@ -280,12 +282,6 @@ def test_urls_are_shown_without_secrets() -> None:
         ("/data/what?x=1/left.png: not a PNG, was it: so?", "/data/what?x=1/left.png: not a PNG, was it: so?"),
     ):
         assert without_secrets(text) == shown
-
-
-def test_urls_without_the_extra(monkeypatch: pytest.MonkeyPatch, tool) -> None:
-    monkeypatch.setitem(sys.modules, "fsspec", None)
-    (line,) = tool.err(2, "stereo", "fast", "-i", "https://127.0.0.1/x.zip", "-o", os.devnull).splitlines()
-    assert "https://127.0.0.1/x.zip: " in line and "pip install 'depthcli[remote]'" in line
 
 
 @pytest.mark.system

@@ -15,8 +15,7 @@ from depthcli.io.formats.disparity import map_npy, read_plane
 from depthcli.io.formats.files import read_bytes, short_path, shown
 from depthcli.io.formats.images import image_size, read_image
 from depthcli.io.formats.networks import network_path, read_network
-from depthcli.io.scenes import StereoScene
-from depthcli.io.scenes.find import ALL_KINDS, chosen_scenes, discover_scenes
+from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.io.scenes.pairs import scenes_of_table
 from tests import boards, damage
 from tests.files import laid
@@ -146,6 +145,10 @@ def test_size_is_limited_before_reading(tmp_path: Path):
     assert len(read_bytes(tmp_path / "small", max_bytes=11)) == 11
     if Path("/proc/self/pagemap").exists():  # a regular file of size 0 that never ends
         assert "grew" in told(read_bytes, "/proc/self/pagemap")
+    header = "{'descr': '<f4', 'fortran_order': False, 'shape': (20000, 20000, 10000), }".ljust(117) + "\n"
+    start = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little")
+    (tmp_path / "a.npy").write_bytes(start + header.encode() + bytes(64))
+    refused(InputError, map_npy, tmp_path / "a.npy")
 
 
 IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)
@@ -165,20 +168,8 @@ def test_numbers_too_large_in_text(tmp_path: Path, number: str):
         refused(InputError, read_geometry, tmp_path / "calib.txt")
 
 
-def test_arrays_that_announce_terabytes(tmp_path: Path):
-    header = "{'descr': '<f4', 'fortran_order': False, 'shape': (20000, 20000, 10000), }".ljust(117) + "\n"
-    path = tmp_path / "a.npy"
-    path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + bytes(64))
-    refused(InputError, map_npy, path)
-
-
 @pytest.mark.parametrize("number", [float("nan"), 1e99])
 def test_a_network_with_a_number_that_is_none(tmp_path: Path, number: float):
     content = json.loads(network_path("accurate").read_text())
     content["layers"][1]["offsets"][0] = number
     refused(InputError, read_network, laid(tmp_path, {"a.json": content}) / "a.json")
-
-
-def test_names_of_scenes_are_unique(tmp_path: Path):
-    scenes = [StereoScene(name="a", folder=tmp_path / folder, left=tmp_path) for folder in ("x", "y")]
-    refused(InputError, chosen_scenes, scenes, ["*"], tmp_path)

@@ -1,6 +1,7 @@
 """Scene folders in every layout, and what is said about broken ones."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.scenes import Folder, Scene
-from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
+from depthcli.io.scenes.find import ALL_KINDS, chosen_scenes, discover_scenes
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.scenes.volumes import VOLUMES
 from tests.files import laid
@@ -73,6 +74,7 @@ def test_own_layout(tmp_path: Path):
     (folder / "a/run.yaml").mkdir()  # a folder of a run has a file of that name
     assert names(folder) == ["a", "b"]
     refused(InputError, Folder, tmp_path / "none", "", "")
+    refused(InputError, chosen_scenes, [first, replace(second, name="a")], ["*"], tmp_path)
     own(folder / "c")
     assert [s.name for s in discover_scenes(folder, PAIRS, None, ["c", "a"])] == ["a", "c"]
     refused(InputError, discover_scenes, folder, PAIRS, None, ["a", "x"])
@@ -103,11 +105,6 @@ def test_half_a_pair_is_an_item_with_a_problem(tmp_path: Path):
     (scene,) = find(tmp_path / "one")  # a single view with truth is a scene without a pair
     assert scene.right is None
     refused(InputError, load, scene)
-
-
-def test_one_view_alone_is_no_scene(tmp_path: Path):
-    for name in ("im2.png", "view1.png"):
-        refused(InputError, find, laid(tmp_path / name, {f"a/{name}": COLOR}))
 
 
 def test_files_are_not_opened_until_they_are_loaded(tmp_path: Path):
@@ -212,6 +209,8 @@ def test_what_is_said_where_nothing_fits(tmp_path: Path):
     refused(InputError, find, tmp_path / "absent")
     refused(InputError, find, tmp_path)
     refused(InputError, find, tmp_path, "kitti-2015")
+    for name in ("im2.png", "view1.png"):  # one view alone
+        refused(InputError, find, laid(tmp_path / "one" / name, {f"a/{name}": COLOR}))
     own(tmp_path / "a")
     refused(InputError, find, tmp_path, pattern="x*")
     refused(InputError, find, tmp_path, "foo")

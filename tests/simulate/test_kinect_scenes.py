@@ -67,6 +67,7 @@ def test_noise_that_is_smooth_rounded_disparities_and_rows_without_truth():
     near = simulated(truth, farthest=0.5, fattening=0, shadows="none").disparity
     expected = np.where(BOX == 22, truth, np.nan)  # only the box is nearer than half of the largest disparity
     np.testing.assert_array_equal(near, expected)
+    refused(ValueError, simulate_kinect, GREY, np.full((60, 120), np.inf))
 
 
 def test_slopes_are_no_edges():
@@ -113,7 +114,3 @@ def test_a_moving_camera_sees_the_same_points_from_its_poses():
     assert seen.mean() > 0.8  # the others are hidden, or outside
     moved = np.hypot(*np.subtract(np.divmod(index, 200), np.divmod(np.arange(index.size), 200)))
     assert np.median(moved[seen]) > 3
-
-
-def test_a_scene_of_which_nothing_is_known_is_refused():
-    refused(ValueError, simulate_kinect, GREY, np.full((60, 120), np.inf))
