@@ -1,6 +1,8 @@
 """Devices: what a user reads of them; tests of device implementations in a process of their own (drivers crash)."""
 
+import ctypes
 import importlib.resources
+import importlib.util
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +19,6 @@ from depthcli.device import DeviceError, DeviceInfo, Kernels, Launch, find_devic
 from depthcli.device.cuda import OPTIONS
 from depthcli.device.dialect import COMMON, CUDA
 from tests.command_line import ended, rows
-from tests.device import nvrtc
 from tests.golden import refused
 
 _LIMIT = 400  # seconds
@@ -47,16 +48,42 @@ MACROS = {
 """The macros of files that have some, as the program sets them besides their defaults."""
 
 
+def compiler() -> ctypes.CDLL | None:
+    """NVIDIA's run-time compiler of the package ``nvidia-cuda-nvrtc-cu12``, which needs no device."""
+    try:
+        found = importlib.util.find_spec("nvidia.cuda_nvrtc")
+    except ModuleNotFoundError:
+        return None
+    for folder in (found.submodule_search_locations or []) if found else []:
+        for file in Path(folder, "lib").glob("libnvrtc.so*"):
+            return ctypes.CDLL(str(file))
+    return None
+
+
+def messages(nvrtc: ctypes.CDLL, text: str, options: tuple[str, ...]) -> str:
+    """What the compiler has to say about CUDA C; empty where it takes it."""
+    program = ctypes.c_void_p()
+    assert nvrtc.nvrtcCreateProgram(ctypes.byref(program), text.encode(), b"kernels.cu", 0, None, None) == 0
+    given = [option.encode() for option in options]
+    failed = nvrtc.nvrtcCompileProgram(program, len(given), (ctypes.c_char_p * len(given))(*given))
+    size = ctypes.c_size_t()
+    nvrtc.nvrtcGetProgramLogSize(program, ctypes.byref(size))
+    log = ctypes.create_string_buffer(size.value)
+    nvrtc.nvrtcGetProgramLog(program, log)
+    nvrtc.nvrtcDestroyProgram(ctypes.byref(program))
+    return log.value.decode() if failed else ""
+
+
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
 def test_cuda_takes_the_kernels(file):
     """To machine code, so that registers and shared memory of a group suffice, too."""
-    library = nvrtc.library()
+    library = compiler()
     if library is None:
         pytest.skip("nvidia-cuda-nvrtc-cu12, which compiles for CUDA, is not installed")
     for macros in ("", *MACROS.get(file.name, ())):
         defined = "".join(f"#define {macro.replace('=', ' ')}\n" for macro in macros.split())
         text = defined + CUDA + COMMON + file.read_text("utf-8")
-        assert nvrtc.messages(library, text, (*OPTIONS, "--gpu-architecture=sm_75")) == "", macros
+        assert messages(library, text, (*OPTIONS, "--gpu-architecture=sm_75")) == "", macros
 
 
 def test_files_with_macros_are_compiled_with_others_than_their_defaults():

@@ -133,15 +133,6 @@ def segment_sums(costs, labels, radius, limits):
     return out
 
 
-def penalize_outside(costs, zones, ranges, penalty, limit):
-    out = costs.astype(np.float64)
-    for y, x, d in np.ndindex(costs.shape):
-        low, high = ranges[zones[y, x]]
-        if low <= x and not low <= d <= high:
-            out[y, x, d] = min(out[y, x, d] + penalty, limit)
-    return out
-
-
 def discrepancy(values, trusted, labels, coefficients, weight, truncation, weights):
     count = labels.max() + 1
     unary = np.zeros((count, len(coefficients)))

@@ -423,24 +423,6 @@ def discontinuity_adjustment(values, costs):
     return values
 
 
-def weighted_median(values, trust, image, radius, color_scale, distance_scale):
-    """Smallest value (in steps of 1/8) that half of the weight does not exceed: (lowest, highest) acceptable."""
-    height, width = values.shape
-    image = image.astype(float)
-    low, high = values.copy(), values.copy()
-    for y, x in np.argwhere(~np.isnan(values)):
-        bottom, right = min(height, y + radius + 1), min(width, x + radius + 1)
-        window = np.s_[max(0, y - radius) : bottom, max(0, x - radius) : right]
-        v, u = np.mgrid[window]
-        color = np.abs(image[window] - image[y, x]).mean(axis=2)
-        weight = np.exp(-color / color_scale) * np.exp(-np.hypot(v - y, u - x) / distance_scale) * trust[window]
-        known = ~np.isnan(values[window]) & (weight > 0)
-        if known.any():
-            steps = np.floor(values[window][known] * 8 + 0.5) / 8
-            low[y, x], high[y, x] = middle(steps, weight[known], 1e-5)
-    return low, high
-
-
 def middle(values, weights, slack):
     """Lowest and highest value that may have half of the weight below it."""
     order = np.argsort(values, kind="stable")
@@ -550,18 +532,21 @@ def slopes(values, image, radius):
     return found
 
 
-def slanted_median(values, gradient, image, radius, color_scale, distance_scale):
-    """Weighted median of extrapolated values: (lowest, highest) acceptable."""
-    image = image.astype(float)
-    low, high = values.astype(float), values.astype(float)
+def weighted_median(values, image, radius, color_scale, distance_scale, trust=None, gradient=None):
+    """(lowest, highest) acceptable median of the values, in steps of 1/8, or of values extrapolated by a gradient."""
+    image, low, high = image.astype(float), values.astype(float), values.astype(float)
     for y, x in np.argwhere(~np.isnan(values)):
         window = np.s_[max(0, y - radius) : y + radius + 1, max(0, x - radius) : x + radius + 1]
         v, u = (axis[: values[window].shape[0], : values[window].shape[1]] for axis in np.mgrid[window])
         color = np.abs(image[window] - image[y, x]).mean(axis=2)
         weight = np.exp(-np.minimum(color / color_scale + np.hypot(v - y, u - x) / distance_scale, 16))
-        votes = values[window] + gradient[0][window] * (x - u) + gradient[1][window] * (y - v)
-        known = ~np.isnan(votes)
-        low[y, x], high[y, x] = middle(votes[known], weight[known], 1e-3)
+        if gradient is None:
+            votes, weight = np.floor(values[window] * 8 + 0.5) / 8, weight * trust[window]
+        else:
+            votes = values[window] + gradient[0][window] * (x - u) + gradient[1][window] * (y - v)
+        known = ~np.isnan(votes) & (weight > 0)
+        if known.any():
+            low[y, x], high[y, x] = middle(votes[known], weight[known], 1e-5 if gradient is None else 1e-3)
     return low, high
 
 

@@ -17,7 +17,7 @@ from depthcli.problems.map_checks import networks
 from depthcli.simulate.stereo_scenes import SyntheticScene, make_scene
 from tests.contracts.inputs import preset, views, wrong
 from tests.golden import refused
-from tests.scenes import RealScene, real_pair, real_scenes
+from tests.scenes import real_pair, real_scenes
 
 
 @pytest.fixture(scope="module")
@@ -161,28 +161,23 @@ def error_of(values: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndar
     return known, np.abs(values - truth)[known]
 
 
-def check_bounds(scene: RealScene, tolerance: float):
-    """Shares inside of bounds, more if it is not known how a map was made, and nearly none of contradicted maps."""
-    pair, truth, top = scene
-    values = preset("stereo", "fast").pipeline(pair, top).disparity.values
-    known, error = error_of(values, truth.values)
-    for level in (0.5, 0.9, 0.98):
-        probability, bound = given_maps.bounds(networks(), pair, values, np.False_, top, level=level)
-        given = given_maps.judge(networks(), pair, [values], top, level=level).bound
-        inside, among_others = (np.mean(error <= each[known]) for each in (bound, given))
-        assert inside == pytest.approx(level, abs=tolerance) and np.isfinite(bound).all()
-        assert among_others > inside - 0.005
-    assert probability[known].mean() == pytest.approx(np.mean(error <= 1), abs=0.05)
-    for other in (np.zeros_like(values), np.nan_to_num(truth.values).astype(np.float32) / 16, values[::-1].copy()):
-        judgment = given_maps.judge(networks(), pair, [other], top)
-        assert judgment.probability[known].mean() < 0.1 and np.median(judgment.bound) > 8
-
-
 @pytest.mark.slow
 def test_bounds_cover_what_they_promise():
-    check_bounds(real_pair(), 0.13)
-    for name in ("Dolls", "Art"):
-        check_bounds(real_scenes("middlebury_2005")[name], 0.08)
+    """Shares inside of bounds, more if it is not known how a map was made, and nearly none of contradicted maps."""
+    others = [(real_scenes("middlebury_2005")[name], 0.08) for name in ("Dolls", "Art")]
+    for (pair, truth, top), tolerance in [(real_pair(), 0.13), *others]:
+        values = preset("stereo", "fast").pipeline(pair, top).disparity.values
+        known, error = error_of(values, truth.values)
+        for level in (0.5, 0.9, 0.98):
+            probability, bound = given_maps.bounds(networks(), pair, values, np.False_, top, level=level)
+            given = given_maps.judge(networks(), pair, [values], top, level=level).bound
+            inside, among_others = (np.mean(error <= each[known]) for each in (bound, given))
+            assert inside == pytest.approx(level, abs=tolerance) and np.isfinite(bound).all()
+            assert among_others > inside - 0.005
+        assert probability[known].mean() == pytest.approx(np.mean(error <= 1), abs=0.05)
+        for other in (np.zeros_like(values), np.nan_to_num(truth.values).astype(np.float32) / 16, values[::-1].copy()):
+            judgment = given_maps.judge(networks(), pair, [other], top)
+            assert judgment.probability[known].mean() < 0.1 and np.median(judgment.bound) > 8
 
 
 def test_bounds_of_maps_computed_at_half_the_size():

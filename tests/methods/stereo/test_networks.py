@@ -43,12 +43,6 @@ def test_contract(tmp_path: Path, check):
 
 
 @needs_onnx
-def test_a_batch_of_several_images_is_no_input(tmp_path: Path):
-    cost = NetworkCost(model=str(local_features(tmp_path / "features.onnx", batch=2)))
-    refused(InputError, cost, shifted_pair(20, 40, 2), 8)
-
-
-@needs_onnx
 @pytest.mark.parametrize("form", FORMS)
 def test_inputs_are_found_from_names_and_shapes(tmp_path: Path, form: str):
     """Sides of 75 and 131 pixels are no multiple of the 32 that the network insists on, for its height."""
@@ -121,6 +115,7 @@ def test_what_is_no_network_of_this_kind_is_refused(tmp_path: Path):
         pipeline(saved("GlobalAveragePool", left=free, right=free)),
         NetworkCost(model=str(block_matcher(tmp_path / "net.onnx"))),
         NetworkCost(model=str(local_features(tmp_path / "half.onnx", pads=1, stride=2))),
+        NetworkCost(model=str(local_features(tmp_path / "batch.onnx", batch=2))),
         NetworkCost(model=str(saved("Neg", left=fixed))), NetworkCost(model=str(saved("Flatten", left=free))),
     ):  # fmt: skip
         refused(InputError, found.prepare, "cpu")

@@ -112,7 +112,7 @@ def test_weighted_median_of_fractions_at_every_width(width, filled_weight):
     step = refinement("weighted_median", radius=4, color_scale=20, distance_scale=4, filled_weight=filled_weight)
     result = step(DisparityMap(disparity.values, status), context).values
     trust = np.where(status & Status.FILLED, filled_weight, 1.0)
-    low, high = naive.weighted_median(disparity.values, trust, context.pair.color8[0], 4, 20, 4)
+    low, high = naive.weighted_median(disparity.values, context.pair.color8[0], 4, 20, 4, trust)
     np.testing.assert_array_equal(np.isnan(result), ~valid)
     assert np.all((result[valid] >= low[valid]) & (result[valid] <= high[valid]))
 
@@ -183,7 +183,7 @@ def test_slopes(shape, radius):
 def test_slanted_median(shape):
     values, image = bumpy(shape)
     result = refinement("slanted_median", radius=3, color_scale=20, distance_scale=4).filtered(values, image, 200)
-    low, high = naive.slanted_median(values, slopes(values, image, 16), image, 3, 20, 4)
+    low, high = naive.weighted_median(values, image, 3, 20, 4, gradient=slopes(values, image, 16))
     valid = ~np.isnan(values)
     np.testing.assert_array_equal(np.isnan(result), ~valid)
     # Intervals of 1/16, then steps of 1/8.

@@ -85,7 +85,10 @@ def test_disparities_outside_the_range_cost_more(dtype, limit, penalty):
     raw = costs.copy()
     volume = Ranges(penalty=penalty).penalize(CostVolume(costs, 2.0), SearchRanges(_labels(), ranges))
     assert np.array_equal(costs, raw) and volume.costs.dtype == dtype
-    assert np.array_equal(volume.costs, naive.penalize_outside(costs, _labels(), ranges, 2 * penalty, limit))
+    (low, high), disparities = ranges[_labels()].transpose(2, 0, 1)[..., None], np.arange(6)
+    outside = (low <= np.arange(12)[:, None]) & ((disparities < low) | (disparities > high))
+    expected = np.where(outside, np.minimum(costs.astype(float) + 2 * penalty, limit), costs)
+    assert np.array_equal(volume.costs, expected)
 
 
 def test_key_points_that_disagree_with_their_neighbors_are_dropped():
