@@ -16,12 +16,13 @@ from depthcli.core.frames import StereoPair
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.methods.stereo.volume import CostVolume
-from depthcli.methods.transparent.cross_modal import GREY, CrossModal, learned_weights, mix_channels
-from depthcli.methods.transparent.match_selection import MatchSelection
+from depthcli.methods.transparent.cross_modal import GREY, CrossModal, faded_costs, learned_weights, mix_channels
+from depthcli.methods.transparent.match_selection import MatchSelection, cost_at, local_deviation
 from depthcli.simulate.transparent_scenes import glass_of_pair, make_transparent_scene
 from depthcli.testing.inputs import assert_pure, texture
 from tests.contracts.inputs import preset
 from tests.golden import refused
+from tests.naive import transparent as naive
 from tests.scenes import DATA, load, needs_data, true
 
 SIZE, SMALL = (200, 150), (160, 130)
@@ -126,6 +127,38 @@ def test_margins_are_those_of_a_sensor_that_knows_and_of_one_that_is_blind():
     rule = MatchSelection(margin=0.15, blind_margin=0.1, speckle=0)
     found, _ = rule(*maps, CostVolume(costs, 100.0), StereoPair(grey, grey))
     np.testing.assert_array_equal(np.isfinite(found), np.isnan(sensor))
+
+
+def volume(shape, dtype=np.uint16):
+    costs = np.random.default_rng(0).integers(0, 200 if dtype == np.uint8 else 4000, shape).astype(dtype)
+    return CostVolume(costs, 100.0)
+
+
+def half_flat(height, width, seed):
+    image = texture((height, width), seed)
+    image[:, : width // 2] = image[:, : width // 2] // 64 + 100
+    return image
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", [(14, 33, 9), (1, 12, 20), (9, 1, 4), (3, 2, 1)])
+def test_faded_costs_agree_with_the_reference(shape, dtype):
+    costs, left, right = volume(shape, dtype), half_flat(*shape[:2], 0), half_flat(*shape[:2], 1)
+    shares = [np.minimum(local_deviation(image) / 30, 1) for image in (left, right)]
+    found = faded_costs(costs, left, right, 30.0).costs
+    assert found.dtype == np.uint16
+    assert np.abs(found.astype(int) - naive.faded_costs(costs.costs, *shares)).max() <= 1
+    assert_pure(lambda: faded_costs(costs, left, right, 30.0).costs, left, right, costs.costs)
+
+
+def test_costs_beside_a_disparity():
+    costs = volume((4, 5, 6))
+    disparity = np.full((4, 5), 2.5, np.float32)
+    disparity[0], disparity[1, 1], disparity[2] = 3.0, np.nan, 99.0
+    found, at = cost_at(costs, disparity), costs.costs / 100
+    for row, expected in ((3, at[3, :, 2:4].min(axis=1)), (0, at[0, :, 3:5].min(axis=1)), (2, at[2, :, 5])):
+        np.testing.assert_allclose(found[row], expected, rtol=1e-6)
+    assert np.isnan(found[1, 1])
 
 
 @needs_data

@@ -11,9 +11,12 @@ from depthcli.core.frames import SparseFrame
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.frames import FRAMES
 from depthcli.methods.transparent.pipeline.nearest import NearestSample
+from depthcli.methods.transparent.pipeline.robust import Smoothing
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
 from depthcli.simulate.transparent_scenes import sparse_samples
+from depthcli.testing.inputs import texture
 from tests.contracts.inputs import NOISE, glass, preset
+from tests.naive import transparent as naive
 from tests.scenes import DATA, load, needs_data, true
 
 
@@ -92,6 +95,34 @@ def test_a_sensor_that_measures_nearer_surfaces_stays():
     frame, _, mask = glass(9)
     near = np.where(mask, np.float32(0.5), frame.depth)  # the sensor sees something in front of what stereo sees
     assert not (pipeline("sparse")(replace(frame, depth=near)).pictures["unreliable"][mask] > 0).any()
+
+
+def sampled(shape, seed, samples):
+    """Values with gaps, colors, which pixels to smooth, and samples at some pixels."""
+    rng = np.random.default_rng(seed)
+    values = (1.5 + 0.1 * rng.standard_normal(shape)).astype(np.float32)
+    values[rng.random(shape) < 0.1] = np.nan
+    known = np.full(shape, np.nan, np.float32)
+    known[samples] = 1
+    return values, Samples.of(known), texture((*shape, 3), seed), rng.random(shape) < 0.7
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 17), (13, 2), (14, 19)])
+@pytest.mark.parametrize("radius", [0, 1, 4])
+def test_smoothing_agrees_with_the_reference_far_from_samples(shape, radius):
+    values, samples, image, wanted = sampled(shape, 1, (0, 0))
+    ours = Smoothing(radius=radius, color_scale=40, reach=3.5 / shape[1])(values, samples, image, wanted)
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    far = wanted & (np.hypot(y, x) > 3.5)
+    np.testing.assert_allclose(ours, naive.smoothed(values, image, far, radius, 40), rtol=1e-5)
+
+
+def test_near_samples_and_elsewhere_values_stay():
+    given = sampled((20, 30), 2, np.s_[::2, ::2])
+    np.testing.assert_array_equal(Smoothing(reach=0.1)(*given), given[0])
+    values, one, image, wanted = sampled((20, 30), 2, (10, 15))
+    changed = (Smoothing(reach=0.1)(values, one, image, wanted) != values) & np.isfinite(values)
+    assert changed[wanted].sum() > 100 and not changed[~wanted].any()
 
 
 @needs_data
