@@ -27,7 +27,7 @@ from depthcli.testing.inputs import assert_pure, blocky_pair, random_volume, tex
 from tests.contracts.checks import CHECKS
 from tests.contracts.inputs import KINDS, part, random_proposals, views
 from tests.golden import refused
-from tests.naive import choice as naive
+from tests.naive import fusion as naive
 
 
 @pytest.mark.parametrize(("count", "height", "width", "n_disparities"), [(1, 1, 1, 1), (3, 4, 7, 20), (16, 5, 33, 9)])
