@@ -14,10 +14,6 @@ import depthcli
 from tests.golden import saying
 
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLES = (
-    "evaluation", "fusion", "given_maps", "inputs", "kinect", "registration", "results", "stereo", "transparent",
-)  # fmt: skip
-
 USER_SCRIPT = """
 import numpy as np
 from PIL import Image
@@ -61,7 +57,9 @@ def test_the_stub_names_what_the_package_has_and_all_of_it_has_a_docstring():
         depthcli.stereos  # noqa: B018
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", [
+    "evaluation", "fusion", "given_maps", "inputs", "kinect", "registration", "results", "stereo", "transparent",
+])  # fmt: skip
 def test_examples_run(name: str):
     failed, tried = doctest.testmod(importlib.import_module(f"depthcli.problems.{name}"))
     assert tried and not failed
