@@ -182,8 +182,11 @@ def test_input_that_changes_during_the_run_leaves_nothing_done(folder: Folder):
     assert statuses(folder.run()) == ALL_DONE and folder.computed() == "a"
 
 
-def test_another_config_needs_overwrite(folder: Folder):
-    folder.run()
+def test_another_config_needs_overwrite_once_a_scene_is_done(folder: Folder):
+    folder.texts["a"] = "damaged"
+    folder.run(only="a", factor=4)
+    folder.texts["a"] = "aaa"
+    assert statuses(folder.run()) == ALL_DONE
     before = folder.bytes()
     refused(ConfigError, folder.run, factor=3)
     assert folder.bytes() == before
@@ -345,14 +348,6 @@ def test_another_input_of_the_same_name_is_refused(folder: Folder):
     file.write_text("other")
     folder.run(only=other, overwrite=True)
     assert folder.result("a") == "otherother"
-
-
-def test_a_failed_first_try_does_not_lock_the_folder(folder: Folder):
-    folder.texts["a"] = "damaged"
-    folder.run(only="a", factor=3)
-    folder.texts["a"] = "well"
-    assert folder.run(only="a", factor=4)["a"]["status"] == "done"
-    refused(ConfigError, folder.run, only="a", factor=5)
 
 
 def test_overwrite_keeps_what_fits_and_other_runs(folder: Folder):
@@ -527,22 +522,18 @@ def test_an_interrupted_replacement_is_known_as_ours(folder: Folder, monkeypatch
         assert left == {"first.txt", "notes.txt", "out.txt", "record.json"}
 
 
-def test_the_report_is_that_of_the_records(folder: Folder):
+def test_shards_are_apart_and_together_everything_and_the_report_is_that_of_the_records(folder: Folder):
     folder.texts["b"] = "damaged"
-    folder.run()
+    for first in (1, 2, 3):
+        folder.run(shard=(first, 3))
+        assert folder.computed() == "abcd"[first - 1 :: 3]
+    assert [row["scene"] for row in folder.report()["scenes"]] == list("abcd")
+    assert folder.run().keys() == set("abcd") and folder.computed() == "b"
     before = [path.read_text() for path in folder.reports()]
     for path in folder.reports():
         path.unlink()
     folder.run(only="a")
     assert [path.read_text() for path in folder.reports()] == before
-
-
-def test_shards_are_apart_and_together_everything(folder: Folder):
-    for first in (1, 2, 3):
-        folder.run(shard=(first, 3))
-        assert folder.computed() == "abcd"[first - 1 :: 3]
-    assert [row["scene"] for row in folder.report()["scenes"]] == list("abcd")
-    assert folder.run().keys() == set("abcd") and folder.computed() == ""
 
 
 def test_files_are_kept_by_their_paths_and_memory_is_shared(tmp_path: Path):

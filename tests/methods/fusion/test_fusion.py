@@ -1,3 +1,7 @@
+"""Fusion of costs, and choice among finished maps and their mixing: against slow references, and whole."""
+
+import itertools
+import json
 from dataclasses import replace
 
 import cv2
@@ -6,16 +10,28 @@ import pytest
 from pydantic import ValidationError
 from scipy.stats import rankdata
 
+from depthcli.algorithms.pixel_network import TrainedNetwork
+from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core.context import Clock
-from depthcli.core.errors import InputError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.io.formats.networks import read_network, write_network
 from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.fusion.blend import add_weighted, blend, measure_weights, normalize_confidences, normalize_costs
+from depthcli.methods.fusion.choice import network
+from depthcli.methods.fusion.choice.energy import ScoredMap, best_mix, energy, neighbor_weights
+from depthcli.methods.fusion.map_costs import VIEW_PLANES, agreement, disagreements, hidden_jumps
+from depthcli.methods.fusion.maps import MapFusion, _status
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.fusion.votes import Ballot, ColorSupport, WindowSupport
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.volume import CostVolume
-from depthcli.testing.inputs import assert_pure, texture
+from depthcli.problems.fusion import Fuse, FuseConfig
+from depthcli.simulate.stereo_scenes import make_scene
+from depthcli.testing.inputs import assert_pure, blocky_pair, random_volume, texture
+from tests.contracts.checks import CHECKS
+from tests.contracts.inputs import KINDS, part, random_proposals, views
 from tests.golden import refused
 from tests.naive import fusion as naive
 from tests.naive.stereo import constant_window
@@ -206,3 +222,219 @@ def test_fields_that_do_not_fit_together_are_refused(place, fields):
     with pytest.raises(ValidationError) as caught:
         fusion(**fields)
     assert [".".join(error["loc"]) for error in caught.value.errors()] == [place]
+
+
+@pytest.mark.parametrize(("count", "height", "width", "n_disparities"), [(1, 1, 1, 1), (3, 4, 7, 20), (16, 5, 33, 9)])
+def test_costs_of_maps_agree_with_the_reference(count, height, width, n_disparities):
+    volume = CostVolume(random_volume(height, width, n_disparities).costs, 100.0)
+    given = replace(random_proposals(height, width, n_disparities, count), volume=volume)
+    maps = given.values
+    plane = {name: np.empty(maps.shape, np.float32) for name in VIEW_PLANES}
+    lowest = given.compare(maps, plane, (1.4, 2.5))
+    np.testing.assert_allclose(lowest, volume.costs.min(axis=2) / 100, rtol=1e-5)
+    for name, most in (("cost", 1.4), ("uncut_cost", 2.5)):
+        np.testing.assert_allclose(plane[name], naive.matching_costs(maps, volume.costs, 0.01, most), atol=1e-4)
+    found = np.where(plane["hidden"] > 0, 0.4, plane["contradiction"])
+    np.testing.assert_allclose(found, naive.contradictions(maps, given.right, 0.4), atol=1e-4)
+    weights = np.arange(count).astype(np.float32)
+    if count > 1:
+        np.testing.assert_allclose(disagreements(maps, weights), naive.disagreements(maps, weights), atol=1e-4)
+        assert not disagreements(maps[:1], weights[:1]).any()
+    image = given.pair.color8[0]
+    np.testing.assert_allclose(hidden_jumps(maps, image), naive.hidden_jumps(maps, image), atol=1e-5)
+
+
+def test_means_over_a_support_are_those_of_its_sums():
+    planes = np.random.default_rng(2).uniform(0, 3, (19, 9, 13)).astype(np.float32)  # more than are summed at a time
+    support = WindowSupport((9, 13), 3)
+    expected = cv2.blur(planes.transpose(1, 2, 0), (3, 3)).transpose(2, 0, 1)
+    np.testing.assert_allclose(support.mean(planes)[:, 1:-1, 1:-1], expected[:, 1:-1, 1:-1], rtol=1e-5)
+
+
+def random_scored_map(height, width, seed):
+    rng = np.random.default_rng(seed)
+    values = rng.uniform(0, 4, (height, width)).astype(np.float32)
+    gradient = rng.uniform(-0.5, 0.5, (2, height, width)).astype(np.float32)
+    return ScoredMap(values, gradient, rng.uniform(0, 1, (height, width)).astype(np.float32))
+
+
+def test_energy_agrees_with_the_reference():
+    scored = random_scored_map(7, 9, 3)
+    weights = neighbor_weights(texture((7, 9, 3), 2), 2.0, 10.0, 0.1)
+    expected = naive.energy(scored.values, scored.slopes, scored.cost, weights, 1.5)
+    assert energy(scored, weights, 1.5) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_the_best_mix_has_the_least_energy(seed):
+    """Of all 2^9 mixes; with pairs that a cut cannot represent the energy still never rises."""
+    a, b = random_scored_map(3, 3, seed), random_scored_map(3, 3, seed + 100)
+    weights = neighbor_weights(texture((3, 3, 3), seed), 1.0, 20.0, 0.2)
+    assert energy(best_mix(a, b, weights, 2.0, 0.0), weights, 2.0) <= energy(a, weights, 2.0)
+    weak = tuple(each * np.float32(0.02) for each in weights)
+    chosen = (np.array(bits, bool).reshape(3, 3) for bits in itertools.product((False, True), repeat=9))
+    mixes = (ScoredMap(*(np.where(mix, new, old) for old, new in zip(a, b, strict=True))) for mix in chosen)
+    best = min(energy(mix, weak, 2.0) for mix in mixes)
+    found = best_mix(a, b, weak, 2.0, 0.0)
+    assert found is not a and energy(found, weak, 2.0) <= best + 0.02
+
+
+def test_agreement_is_the_weighted_share():
+    maps = np.array([[[5.0]], [[5.3]], [[7.0]], [[6.0]]], np.float32)
+    weights = np.array([1, 2, 4, 1], np.float32)
+    np.testing.assert_allclose(agreement(np.float32([[5.0]]), maps, weights), (1 + 2 + 0.5) / 8)
+
+
+def test_the_status_of_a_mix_and_the_lower_one_of_two_maps():
+    values, right = np.array([[1, 1, 1, 1, 3, 5]], np.float32), np.array([[1, 3, 0, 2, 0, 0]], np.uint16)
+    hidden, wrong = Status.OCCLUDED | Status.FILLED, Status.MISMATCH | Status.FILLED
+    assert _status(values, right).tolist() == [[hidden, 0, hidden, 0, 0, wrong]]
+    fusion = MapFusion.model_validate({"optimizations": [{"optimization": "scanline"}]})
+    maps = [DisparityMap(np.full((8, 9), d, np.float32), np.zeros((8, 9), np.uint8)) for d in (2, 5)]
+    volume, grey = CostVolume(np.zeros((8, 9, 8), np.uint8)), np.zeros((8, 9), np.uint8)
+    median = fusion._proposals(StereoPair(grey, grey), volume, np.zeros((8, 9), np.uint16), maps).values[0]
+    assert (median == 2).all()  # a mean would be a value that nobody proposed
+
+
+MATCHERS = [
+    {"weight": 2, "matcher": {"pipeline": "local", "cost": "census", "optimization": "scanline"}},
+    {"matcher": {"pipeline": "local", "cost": "gradient", "aggregation": "cross"}},
+]
+SMALL = {
+    "measures": ["absolute_difference", "census"], "optimization": "scanline", "confidence": ["agreement", "da"],
+    "refinement": ["left_right_check", "subpixel", "background_fill"],
+    "maps": {
+        "matchers": MATCHERS,
+        "optimizations": [{"weight": 0.5, "optimization": {"method": "scanline", "p2": 4.0}}],
+    },
+}  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_mix_is_better_than_its_parts_and_agreement_sorts_out_errors():
+    fusion = Fusion.model_validate(SMALL)
+    first = Fusion.model_validate({**SMALL, "maps": None, "confidence": []})
+    errors = np.zeros(4)
+    for seed in (5, 6):
+        scene = make_scene("planes", seed, 160, 120, 24, wall_contrast=0.3)
+        results = [one(views(scene), 24) for one in (fusion, first, *(m.matcher for m in fusion.maps.matchers))]
+        wrong, *others = (~(np.abs(one.disparity.values - scene.disparity_left) <= 1) for one in results)
+        errors += [each.mean() for each in (wrong, *others)]
+        assert wrong[results[0].confidence["agreement"] > 0.9].mean() < 0.5 * wrong.mean()
+        filled = results[0].disparity.filled
+        assert results[0].disparity.valid.all() and wrong[filled].mean() > wrong[~filled].mean()
+    assert errors[0] < errors[1:].min()
+
+
+@pytest.mark.parametrize("color", [False, True])
+def test_same_bytes_at_any_thread_count_and_on_small_images(color):
+    fusion, pair = Fusion.model_validate(SMALL), blocky_pair(31, 70, color, 4)
+
+    def run():
+        result = fusion(pair, 20)
+        return np.concatenate([result.disparity.values, result.disparity.status, result.confidence["agreement"]])
+
+    assert_pure(run, pair.left, pair.right)
+    for height, width in ((1, 1), (2, 3), (9, 1)):
+        assert fusion(blocky_pair(height, width, color), 5).disparity.values.shape == (height, width)
+
+
+def random_network(kinds, units=(8, 4)):
+    rng, names = np.random.default_rng(0), network.input_names(kinds)
+
+    def some(*shape):
+        return rng.normal(size=shape).astype(np.float32)
+
+    (one, two), size = units, len(names)
+    layers = (some(size, one) / 3, some(len(kinds), one)), (some(one, two) / 3, some(two)), (some(two, 1), some(1))
+    return TrainedNetwork(kinds, names, some(size), np.abs(some(size)), layers)
+
+
+@pytest.mark.parametrize("check", CHECKS["methods.fusion.choice"], ids=lambda check: check.__name__)
+def test_contract(check):
+    check(network.NetworkChoice().with_network(random_network(KINDS), KINDS))
+
+
+def test_inputs_agree_with_the_reference():
+    given = random_proposals()
+    count, height, width = given.values.shape
+    inputs = network.NetworkInputs.of(given)
+    own = dict(zip(network.PROPOSAL_PLANES, inputs.own.reshape(-1, count, height, width), strict=True))
+    (left, right), volume = given.pair.color8, given.volume
+    expected = naive.pointwise(given.values, volume.costs, volume.scale, given.right, left.astype(float), right)
+    for name, plane in expected.items():
+        np.testing.assert_allclose(own[name], plane, atol=2e-3, err_msg=name)
+    for k, values in enumerate(given.values):
+        np.testing.assert_allclose(own["roughness"][k], naive.roughness(values, slopes(values, left)), atol=1e-4)
+    plane = {name: np.empty(given.values.shape, np.float32) for name in VIEW_PLANES}
+    given.compare(given.values, plane, (0.7, 1.5))
+    jumps = hidden_jumps(given.values, left)
+    for name, reach, softness in (("wide", 8.0, 15.0), ("region", 40.0, 8.0)):
+        support = ColorSupport(left, reach, softness)
+        np.testing.assert_array_equal(own[f"cost_{name}"], support.mean(plane["cost"]))
+        np.testing.assert_array_equal(own[f"jump_{name}"], support.mean(jumps))
+    np.testing.assert_array_equal(own["filled"], given.filled)
+    shared = dict(zip(network.PIXEL_PLANES, inputs.shared.reshape(-1, height, width), strict=True))
+    np.testing.assert_allclose(shared["min_cost"], volume.costs.min(axis=2) / volume.scale, rtol=1e-5)
+    np.testing.assert_allclose(shared["filled_share"], (given.filled > 0).mean(axis=0))
+    assert (shared["light_trust"] == 1).all()
+    trust = texture((height, width), 5)
+    dim = network.NetworkInputs.of(replace(given, pair=replace(given.pair, light_trust=trust)))
+    np.testing.assert_allclose(dim.shared[network.PIXEL_PLANES.index("light_trust")], trust.ravel() / 255, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("height", "width", "count"), [(9, 21, 4), (1, 1, 2), (3, 5, 16), (40, 33, 3)])
+def test_log_odds_agree_with_the_reference(height, width, count):
+    given = random_proposals(height, width, 12, count)
+    weights, inputs = random_network(given.kinds), network.NetworkInputs.of(given)
+    rows = inputs.rows(np.arange(height * width, dtype=np.int64))
+    expected = naive.log_odds(rows.astype(float), weights.mean, weights.scale, weights.layers)
+    np.testing.assert_allclose(network.log_odds_of(weights, inputs), expected.T, atol=1e-3)
+
+
+def test_the_likeliest_proposal_is_taken_with_its_probability():
+    given = random_proposals()
+    inputs = network.NetworkInputs.of(given)
+    odds = network.log_odds_of(random_network(given.kinds), inputs).reshape(given.values.shape)
+    values, probability = network.likeliest(given.values, odds, given.narrow)
+    picked = values[None] == given.values
+    assert picked.any(axis=0).all()
+    at = picked.argmax(axis=0)[None]
+    expected = 1 / (1 + np.exp(-np.take_along_axis(odds, at, axis=0)[0]))
+    single = picked.sum(axis=0) == 1
+    assert single.mean() > 0.8
+    np.testing.assert_allclose(probability[single], expected[single], atol=1e-5)
+    assert (odds.argmax(axis=0) == at[0]).mean() > 0.5  # the others were outvoted by pixels around them
+
+
+def test_proposals_that_agree_count_and_are_averaged():
+    maps = np.array([5, 5.6, 9], np.float32).reshape(3, 1, 1)
+    odds = np.log(np.array([0.35, 0.25, 0.4], np.float32)).reshape(3, 1, 1)
+    # 0.6 pixels of 1.5: the second counts 0.6 of its share, half of it for the choice (0.425), all of it in the mean
+    for fields, expected in (({}, (9, 0.4 / 1.4)), ({"agreeing": 1.5}, (5 + 0.15 * 0.6 / 0.5, 0.35 / 1.35))):
+        values, probability = network.likeliest(maps, odds, WindowSupport((1, 1), 1), **fields)
+        np.testing.assert_allclose([values[0, 0], probability[0, 0]], expected, rtol=1e-5)
+
+
+def test_files_of_networks_keep_four_digits_and_others_are_refused(tmp_path):
+    trained, file = random_network(KINDS), tmp_path / "net.json"
+    write_network(file, trained)
+    stored, written = read_network(file), json.loads(file.read_text())
+    assert stored.maps == KINDS and stored.inputs == trained.inputs
+    for layer, other in zip(trained.layers, stored.layers, strict=True):
+        for one, kept in zip(layer, other, strict=True):
+            np.testing.assert_allclose(kept, one, rtol=1e-3)
+    for change in ({"format": "other"}, {"layers": [1]}, {"mean": [float("nan")]}):
+        file.write_text(json.dumps({**written, **change}))
+        refused(InputError, read_network, file)
+
+
+def test_a_network_takes_only_the_inputs_and_maps_it_was_trained_for():
+    trained = random_network(KINDS)
+    for other in (replace(trained, inputs=("cost", *trained.inputs[1:])), random_network(KINDS, units=(6, 4))):
+        refused(InputError, network.NetworkChoice().with_network, other, KINDS)
+    refused(ValueError, network.NetworkChoice(), random_proposals())
+    refused(NotImplementedError, part("methods.fusion.choice", "energy").with_network, trained, KINDS)
+    maps = {"choice": {"method": "network"}, "optimizations": [{"optimization": "scanline"}]}
+    refused(ConfigError, Fuse.ready, FuseConfig.model_validate({"measures": ["census"], "maps": maps}))
