@@ -1,7 +1,6 @@
 """register-confidence from the command line: files, messages, exit codes."""
 
 import json
-import locale
 import re
 import shutil
 import warnings
@@ -25,6 +24,7 @@ from tests import command_line
 from tests.command_line import rows
 from tests.files import laid
 from tests.golden import refused, told
+from tests.io.test_volumes import slices
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -251,38 +251,16 @@ def test_bad_landmarks_stop_no_map_and_say_what_is_wrong(tmp_path, tool, landmar
         tool.told(2, "evaluate", made, "--truth", pair, "-o", tmp_path / "e")
 
 
-def dicom(folder, values, missing=()):
-    """Write a series of (Z, Y, X) int16, whose files are sorted the other way by name."""
-    folder.mkdir()
-    before = locale.setlocale(locale.LC_ALL)  # writing DICOM, which the program does not, leaves the C locale
-    writer = SimpleITK.ImageFileWriter()
-    writer.KeepOriginalImageUIDOn()
-    for k, plane in enumerate(values):
-        image = SimpleITK.GetImageFromArray(plane)
-        image.SetSpacing((1.5, 1.0))
-        tags = {"0008|0060": "CT", "0020|000d": "1.2.3", "0020|000e": "1.2.3.4", "0008|0018": f"1.2.3.4.{k + 1}",
-                "0020|0032": f"-20\\10\\{5 + 2 * k}", "0020|0037": "1\\0\\0\\0\\1\\0", "0020|0013": str(k)}  # fmt: skip
-        for tag, text in tags.items():
-            image.SetMetaData(tag, text)
-        if k not in missing:
-            writer.SetFileName(str(folder / f"{len(values) - k:03}.dcm"))
-            writer.Execute(image)
-    locale.setlocale(locale.LC_ALL, before)
-
-
 def test_a_folder_with_a_dicom_series_is_a_volume(tmp_path, tool):
-    values, before, after = np.random.default_rng(0).integers(-100, 900, (12, 14, 16)), tmp_path / "a", tmp_path / "b"
-    values = values.astype(np.int16)
-    dicom(before, values)
-    dicom(after, np.roll(values, 1, axis=2))
-    dicom(tmp_path / "gap", values, missing=(4,))
+    places = [f"-20\\10\\{5 + 2 * k}" for k in range(12)]  # names of files are in another order from 10 on
+    before, after = slices(tmp_path / "a", places), slices(tmp_path / "b", places[::-1])
     volume = read_volume(before)
-    np.testing.assert_array_equal(volume.values, values)
-    assert (volume.grid.spacing, volume.grid.origin) == ((1.5, 1.0, 2.0), (-20, 10, 5))
+    np.testing.assert_array_equal(volume.values, np.arange(12)[:, None, None] * np.ones((5, 6)))
+    assert (volume.grid.spacing, volume.grid.origin) == ((1.0, 1.0, 2.0), (-20, 10, 5))
     command = ("register-confidence", "axes", "--fixed", before, "-o", tmp_path / "run", *SMALL, "--warped")
     assert command_line.run(*command, after) == 0
     assert read_volume(tmp_path / "run" / "a" / "expected_error.mha").grid.same_as(volume.grid)
-    shutil.copy(before / "001.dcm", after)
+    shutil.copy(before / "1_1.dcm", after)
     assert '"to do"' in tool.out(0, *command, after, "--dry-run", "--json")  # a slice has changed
-    err = tool.err(3, *command, tmp_path / "gap", "--overwrite")
+    err = tool.err(3, *command, slices(tmp_path / "gap", [*places[:4], *places[5:]]), "--overwrite")
     assert "gap" in err and "missing" in err
