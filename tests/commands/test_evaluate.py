@@ -253,6 +253,9 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     assert [row["value"] for row in figures.values()] == ["100.0", "50.0", "0.0"]
     assert "missing, all pixels count as incorrect" in figures["b"]["note"] and "1 missing" in figures["*mean"]["note"]
     assert written["easy", "*mean", "avgerr", "all", ""]["value"] == ""
+    assert run_command("evaluate", *runs, "--truth", truth, "-o", tmp_path / "page", "--html", "-q") == 3
+    page = (tmp_path / "page" / "report.html").read_text("utf-8")
+    assert "1 map missing" in page and "100.00*" in page
     # Ranks and comparisons are over what both have: a tie.
     (summary, *_) = report_tables(report)
     column = summary.header.index("avg rank")

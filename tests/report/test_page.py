@@ -4,7 +4,6 @@ import base64
 import json
 import math
 import re
-import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -146,19 +145,6 @@ def test_beyond_the_budget_pictures_shrink_and_full_ones_lie_beside(tmp_path: Pa
         assert np.array_equal(small, large[::factor, ::factor], equal_nan=True)
     evaluate_runs(runs, scenes_with_truth(scenes), scenes, output, Choices(viewers=[Page()]))
     assert not (output / "assets").exists()
-
-
-@pytest.mark.slow
-def test_a_missing_map_and_a_single_run(tmp_path: Path, scenes: Path, runs: list[Path]):
-    output, less = tmp_path / "out", tmp_path / "less"
-    shutil.copytree(runs[1], less)
-    (less / "plain" / "disp_left.pfm").unlink()
-    evaluate_runs([runs[0], less], scenes_with_truth(scenes), scenes, output, Choices(viewers=[Page()]))
-    page = Reader(output)
-    assert "1 map missing" in page.text
-    assert any(cell == "100.00*" for table in page.tables for row in table for cell in row)
-    evaluate_runs(runs[:1], scenes_with_truth(scenes), scenes, output, Choices(viewers=[Page()]))
-    assert "has the best mean" not in Reader(output).text
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-7.5, 200.3), (500.0, 9000.0), (3.0, 3.0)])
