@@ -1,10 +1,10 @@
-"""What views of a board determine of a camera; how boards are named."""
+"""What views of a board determine of a camera."""
 
 import math
 
 import numpy as np
 
-from depthcli.algorithms.calibration import CharucoBoard, Chessboard, _focal_sensitivity
+from depthcli.algorithms.calibration import Chessboard, _focal_sensitivity
 from depthcli.core.cameras.camera import Camera
 
 CAMERA = Camera(np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), (0.0,) * 5)
@@ -18,7 +18,3 @@ def test_one_view_parallel_to_the_image_determines_no_focal_length():
     assert _focal_sensitivity(CAMERA, [points], [ahead]) == math.inf
     assert _focal_sensitivity(CAMERA, [0 * points], [(np.zeros(3), np.array([0, 0, 0.5]))]) == math.inf
     assert _focal_sensitivity(CAMERA, [points] * 4, [ahead, *others]) < 0.05
-
-
-def test_words_of_boards_count_squares():
-    assert CharucoBoard(5, 7, 0.025, 0.018, "4X4_50").words == "a ChArUco board of 6 x 8 squares with markers of 4X4_50"
