@@ -1,9 +1,6 @@
 """Every preset that ships: read, shown, run on a small scene."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +18,12 @@ from depthcli.io.formats.images import read_image
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair
-from depthcli.kernels.jit import set_threads
+from depthcli.kernels.jit import n_threads, set_threads
 from tests.command_line import contents
 from tests.golden import same_figures
 
 PRESETS = [(command, name) for command, name, _ in list_presets()]
+USUAL = ("stereo fast", "stereo accurate", "stereo segments", "fuse accurate")
 
 _PAIR, _VOLUMES = ("made_scenes", "--scenes", "planes_0"), ("made_volumes", "--scenes", "pair_0")
 INPUTS = {
@@ -141,34 +139,24 @@ def test_a_toy_scene_has_the_same_files_by_the_command_and_from_python(
     assert [file for file, data in by_python.items() if by_command[file] != data] == []
 
 
-@pytest.mark.system
-@pytest.mark.parametrize(("command", "name"), PRESETS)
+@pytest.mark.parametrize(("command", "name"), [
+    pytest.param(*each, marks=pytest.mark.slow if " ".join(each) in USUAL else pytest.mark.system) for each in PRESETS
+])  # fmt: skip
 def test_same_bytes_at_any_number_of_threads(request, tmp_path: Path, monkeypatch, command: str, name: str):
+    """Of more than there are cores, too."""
     found = []
-    for kernels, opencv in ((2, 1), (1, 8)):
+    monkeypatch.setattr("depthcli.kernels.jit._threads.most", 16)
+    for kernels, opencv in ((16, 1), (3, 1), (1, 8)):
         monkeypatch.setattr(
             "depthcli.run.workers.use_threads", lambda _, k=kernels, n=opencv: (set_threads(k), cv2.setNumThreads(n))
         )
-        assert main(words_of(request, command, name, tmp_path / str(opencv))) == 0
-        found.append(contents(tmp_path / str(opencv)))
+        assert main(words_of(request, command, name, tmp_path / str(kernels))) == 0
+        assert n_threads() == kernels
+        found.append(contents(tmp_path / str(kernels)))
     assert len(found[0]) > 2
-    assert found[0].keys() == found[1].keys()
-    assert [name for name, data in found[0].items() if found[1][name] != data] == []
-
-
-@pytest.mark.slow
-def test_same_bytes_at_more_threads_than_cores(made_scenes: Path, tmp_path: Path):
-    presets, counts = ("stereo fast", "stereo accurate", "stereo segments", "fuse accurate"), (1, 2, 3, 4, 7, 16)
-    given = "-i", str(made_scenes), "--scenes", "planes_0", "-q"
-    calls = [[*words.split(), *given, "-o", str(tmp_path / words / str(count)), "--threads", str(count)]
-             for words in presets for count in counts]  # fmt: skip
-    code = "import json, sys; from depthcli.cli import main; sys.exit(max(map(main, json.loads(sys.argv[1]))))"
-    env = os.environ | {"NUMBA_NUM_THREADS": str(max(counts))}
-    subprocess.run([sys.executable, "-c", code, json.dumps(calls)], env=env, check=True, timeout=600)
-    for words in presets:
-        alone, *others = (contents(tmp_path / words / str(count)) for count in counts)
-        assert "planes_0/disp_left.pfm" in alone
-        assert all(found == alone for found in others), words
+    for other in found[1:]:
+        assert found[0].keys() == other.keys()
+        assert [name for name, data in found[0].items() if other[name] != data] == []
 
 
 def test_the_map_that_fuse_accurate_begins_with_is_that_of_stereo_accurate(made_scenes: Path):
