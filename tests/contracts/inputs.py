@@ -105,11 +105,7 @@ def random_proposals(
     base = rng.uniform(0, n_disparities - 1, (height, width))
     values = np.clip(base + rng.normal(0, 1.5, (count, height, width)), 0, n_disparities - 1).astype(np.float32)
     return Proposals(
-        (KINDS * 4)[:count],
-        values,
-        rng.integers(0, 3, values.shape).astype(np.uint8),
-        np.ones(count, np.float32),
-        blocky_pair(height, width, True, seed),
-        random_volume(height, width, n_disparities),
+        (KINDS * 4)[:count], values, rng.integers(0, 3, values.shape).astype(np.uint8), np.ones(count, np.float32),
+        blocky_pair(height, width, True, seed), random_volume(height, width, n_disparities),
         rng.integers(0, n_disparities, (height, width)).astype(np.uint16),
-    )
+    )  # fmt: skip

@@ -27,24 +27,14 @@ def curve(costs, n, deviation, eps):
     p = [math.exp(-4 * v) for v in t]
     p = [v / sum(p) for v in p]
     smooth = [c[max(k - 1, 0)] + 2 * c[k] + c[min(k + 1, n - 1)] for k in range(n)]
-    return (
-        {
-            "msm": -c1,
-            "cur": left + right - 2 * c1,
-            "pkr": (c2m + eps) / (c1 + eps),
-            "pkrn": (c2 + eps) / (c1 + eps),
-            "mm": c2m - c1,
-            "mmn": c2 - c1,
-            "wmn": (c2m - c1) / (sum(c) + eps),
-            "wmnn": (c2 - c1) / (sum(c) + eps),
-            "mlm": 1 / sum(math.exp(-2 * v) for v in t),
-            "aml": 1 / sum(math.exp(-8 * v * v) for v in t),
-            "nem": sum(v * math.log(v) for v in p if v > 0),
-            "noi": -len(valleys(smooth)),
-        },
-        d1,
-        second,
-    )
+    measures = {
+        "msm": -c1, "cur": left + right - 2 * c1, "mm": c2m - c1, "mmn": c2 - c1,
+        "pkr": (c2m + eps) / (c1 + eps), "pkrn": (c2 + eps) / (c1 + eps),
+        "wmn": (c2m - c1) / (sum(c) + eps), "wmnn": (c2 - c1) / (sum(c) + eps),
+        "mlm": 1 / sum(math.exp(-2 * v) for v in t), "aml": 1 / sum(math.exp(-8 * v * v) for v in t),
+        "nem": sum(v * math.log(v) for v in p if v > 0), "noi": -len(valleys(smooth)),
+    }  # fmt: skip
+    return measures, d1, second
 
 
 def valleys(c):

@@ -22,12 +22,12 @@ from depthcli.run import records
 from depthcli.run.console import Reporter
 from depthcli.run.job import Execution
 from depthcli.run.records import read_record
-from depthcli.run.scene import Task, Work
+from depthcli.run.scene import Work
 from tests.command_line import contents, ended, rows, start, wait_for
 from tests.conftest import sampled
 from tests.files import laid
 from tests.golden import refused, told
-from tests.run.test_runner import Config, Repeat, Text
+from tests.run.test_runner import Config, Repeat, task_in
 
 PRESET = "opencv-sgbm"
 SCENES = 48
@@ -160,10 +160,7 @@ def test_no_scheduler_there_is_told_in_a_line(tmp_path: Path, tool, made_scenes:
     tool.told(2, *command, "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2")
 
 
-def task_and_work(folder: Path) -> tuple[Task, Work]:
-    scene = Text(name="item", folder=folder, file=folder / "item.txt")
-    work = Work(Repeat(Config()), Execution(scheduler="tcp://there"), frozenset())
-    return Task(scene, folder / "run", folder / "run/.partial/0", "run", {}, "", {}), work
+WORK = Work(Repeat(Config()), Execution(scheduler="tcp://there"), frozenset())
 
 
 class KilledWorker(Exception):  # noqa: N818  (its name in dask.distributed)
@@ -176,7 +173,7 @@ class KilledWorker(Exception):  # noqa: N818  (its name in dask.distributed)
     (None, IncompleteError),
 ])  # fmt: skip
 def test_what_comes_of_a_worker_s_error(error: Exception | None, ends: type[Exception] | None, tmp_path, monkeypatch):
-    client, (task, work) = Mock(status="running"), task_and_work(tmp_path)
+    client, task = Mock(status="running"), task_in(tmp_path, "run/.partial")
     client.scheduler_info.return_value = {"workers": {}}
     client.submit.return_value = Mock(status="error", exception=lambda: error)
     if error is None:
@@ -184,7 +181,7 @@ def test_what_comes_of_a_worker_s_error(error: Exception | None, ends: type[Exce
     monkeypatch.setattr(cluster_module, "_connected", lambda address: (client, Mock()))
 
     def compute() -> list[Any]:
-        return list(cluster_module.compute_on_cluster([task], work, Reporter(-1), tmp_path / "run/.partial"))
+        return list(cluster_module.compute_on_cluster([task], WORK, Reporter(-1), tmp_path / "run/.partial"))
 
     if ends is None:
         (row,) = compute()
@@ -198,8 +195,8 @@ def test_what_comes_of_a_worker_s_error(error: Exception | None, ends: type[Exce
 def test_a_worker_refuses_other_versions_and_another_file_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     distributed = pytest.importorskip("distributed", reason="no dask.distributed (the extra 'cluster')")
     monkeypatch.setattr(distributed, "get_worker", lambda: Mock(address="tcp://worker"))
-    (task, work), there = task_and_work(tmp_path), cluster_module._compute_there
-    for identity in ("another", cluster_module._identity_here(work)):
-        refused(ConfigError, there, [], pickle.dumps((task, work, identity, str(tmp_path))))
+    task, there = task_in(tmp_path, "run/.partial"), cluster_module._compute_there
+    for identity in ("another", cluster_module._identity_here(WORK)):
+        refused(ConfigError, there, [], pickle.dumps((task, WORK, identity, str(tmp_path))))
     monkeypatch.setitem(sys.modules, "distributed", None)
     refused(ConfigError, cluster_module._connected, "tcp://there:1")

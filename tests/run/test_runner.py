@@ -141,6 +141,12 @@ class Folder:
         return json.loads((self.output / "report.json").read_text())
 
 
+def task_in(root: Path, place: str) -> Task:
+    """The scene ``item``, made in a place of ``root`` for the run there."""
+    scene = Text(name="item", folder=root, file=root / "item.txt")
+    return Task(scene, root / "run", root / place / "0", "run", {}, "", {})
+
+
 def statuses(rows: dict[str, dict[str, Any]]) -> str:
     return " ".join(rows[name]["status"] for name in sorted(rows))
 
@@ -426,23 +432,19 @@ def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path:
                 if number == 1 and not gone:
                     gone.append(folder)
                     discard(folder.parent)  # the run ends, and the next one makes the scene
-                    assert compute_scene(task(tmp_path / "next"), work, context.memory)()["status"] == "done"
+                    assert compute_scene(task_in(tmp_path, "next"), work, context.memory)()["status"] == "done"
                 if again:
                     folder.mkdir(parents=True, exist_ok=True)  # as most writers of files do
                 (folder / name).write_text(text)
             return Outcome()
 
-    def task(place: Path) -> Task:
-        scene = Text(name="item", folder=tmp_path, file=tmp_path / "item.txt")
-        return Task(scene, tmp_path / "run", place / "0", "run", {}, "", {})
-
     work = Work(Slow(Config()), Execution(), frozenset())
-    row = compute_scene(task(tmp_path / "making"), work, 1 << 30)()
+    row = compute_scene(task_in(tmp_path, "making"), work, 1 << 30)()
     reason = "the run has ended" if again else "b.txt: No such file or directory"
     assert row["status"] == "failed" and reason in row["error"]
     known = records.read_record(tmp_path / "run/item")
     assert set(known.files) == set(made)
-    assert task(tmp_path / "making").is_done(known)
+    assert task_in(tmp_path, "making").is_done(known)
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
@@ -569,21 +571,15 @@ def test_what_a_control_group_and_a_system_without_proc_leave(monkeypatch: pytes
     assert found[2] == pytest.approx(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("left", "took", "busy", "options", "need", "found"),
-    [
-        (0, 0.05, 0.05, {}, 0, [1]),  # there was a single scene
-        (9, 0.2, 0.2, {}, 0, [1]),  # as soon done as others have started
-        (198, 0.05, 0.05, {}, 0, range(2, 9)),
-        (1000, 1.0, 1.0, {}, 0, [8]),
-        (1000, 1.0, 8.0, {}, 0, [1]),  # threads keep all cores busy
-        (1000, 1.0, 1.0, {"threads": 3}, 0, [2]),
-        (1000, 1.0, 1.0, {"threads": 16}, 0, [1]),
-        (1000, 1.0, 1.0, {"max_memory": 4 << 30}, 1 << 30, [3]),
-        (1000, 1.0, 1.0, {"max_memory": 1 << 30}, 1 << 30, [1]),
-        (1000, 1.0, 1.0, {}, None, [1]),
-    ],
-)
+@pytest.mark.parametrize(("left", "took", "busy", "options", "need", "found"), [
+    (0, 0.05, 0.05, {}, 0, [1]),  # there was a single scene
+    (9, 0.2, 0.2, {}, 0, [1]),  # as soon done as others have started
+    (198, 0.05, 0.05, {}, 0, range(2, 9)), (1000, 1.0, 1.0, {}, 0, [8]),
+    (1000, 1.0, 8.0, {}, 0, [1]),  # threads keep all cores busy
+    (1000, 1.0, 1.0, {"threads": 3}, 0, [2]), (1000, 1.0, 1.0, {"threads": 16}, 0, [1]),
+    (1000, 1.0, 1.0, {"max_memory": 4 << 30}, 1 << 30, [3]), (1000, 1.0, 1.0, {"max_memory": 1 << 30}, 1 << 30, [1]),
+    (1000, 1.0, 1.0, {}, None, [1]),
+])  # fmt: skip
 def test_how_many_processes_finish_first_on_eight_cores(left, took, busy, options, need, found, monkeypatch):
     monkeypatch.setattr(workers, "cores", lambda: 8)
     how = Execution(**{"jobs": None, "max_memory": 64 << 30} | options)

@@ -173,12 +173,9 @@ def test_a_file_system_without_locks(made_scenes: Path, whole: Path, tmp_path: P
 
 def test_what_a_shard_is():
     for text, slurm, shard in (
-        (None, "", None),
-        ("3/8", "", (3, 8)),
-        (None, "ID=5 MIN=1 COUNT=4 STEP=2", (3, 4)),
-        (None, "ID=0 MIN=0 COUNT=4 STEP=1", (1, 4)),
-        ("1/2", "ID=5 MIN=1 COUNT=4 STEP=2", (1, 2)),
-    ):
+        (None, "", None), ("3/8", "", (3, 8)), (None, "ID=5 MIN=1 COUNT=4 STEP=2", (3, 4)),
+        (None, "ID=0 MIN=0 COUNT=4 STEP=1", (1, 4)), ("1/2", "ID=5 MIN=1 COUNT=4 STEP=2", (1, 2)),
+    ):  # fmt: skip
         environment = {f"SLURM_ARRAY_TASK_{pair.partition('=')[0]}": pair.partition("=")[2] for pair in slurm.split()}
         assert shard_of(text, environment) == shard
     for text in ("0/2", "3/2", "1", "a/b"):

@@ -10,16 +10,9 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.method import used_files
+from depthcli.methods.stereo import networks
 from depthcli.methods.stereo.cost.onnx import NetworkCost
-from depthcli.methods.stereo.networks import (
-    ImageInput,
-    MeanDeviation,
-    network_device,
-    networks_in,
-    normalized,
-    padded,
-    samples,
-)
+from depthcli.methods.stereo.networks import MeanDeviation, networks_in, normalized, padded, samples
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.pipeline.onnx import NetworkPipeline
 from depthcli.testing.cost import CHECKS
@@ -129,12 +122,12 @@ def test_the_device_of_networks_is_cuda_where_that_is_there(tmp_path: Path, monk
     import onnxruntime
 
     found = pipeline(local_features(tmp_path / "net.onnx"))
-    assert network_device("auto") == network_device("cpu") == "cpu"
-    assert [network_device(name) for name in ("cuda", "cuda:2")] == ["cuda:0", "cuda:2"]
+    assert networks.network_device("auto") == networks.network_device("cpu") == "cpu"
+    assert [networks.network_device(name) for name in ("cuda", "cuda:2")] == ["cuda:0", "cuda:2"]
     refused(InputError, found.prepare, "cuda:0")
     providers = ["CUDAExecutionProvider", "CPUExecutionProvider"]
     monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: providers)
-    assert network_device("auto") == "cuda:0"
+    assert networks.network_device("auto") == "cuda:0"
     refused(InputError, found.prepare, "cuda:0")  # it is said to be there, but does not work
     (tmp_path / "net.onnx").write_bytes(b"")
     assert [*found.used_files()] == ["model"]
@@ -180,7 +173,7 @@ def test_values_that_networks_take():
     mean = (0.485 + 0.456 + 0.406) / 3, (0.229 + 0.224 + 0.225) / 3  # of a grey image
     grey = normalized(np.full((1, 1, 1), 51, np.float32), "imagenet", "rgb")
     assert grey[0, 0] == pytest.approx((0.2 - mean[0]) / mean[1], rel=1e-5)
-    bytes_of = ImageInput("left", np.dtype(np.uint8), 4, 3, False, (None, None)).array
+    bytes_of = networks.ImageInput("left", np.dtype(np.uint8), 4, 3, False, (None, None)).array
     assert bytes_of(np.array([[[-3, 1.6, 300]]], np.float32)).tolist() == [[[[0]], [[2]], [[255]]]]
     assert padded(np.zeros((5, 7, 1), np.float32), 4, margin=1).shape == (8, 12, 1)
     with pytest.raises(ValueError, match="deviations are above 0"):
