@@ -4,7 +4,6 @@ import pytest
 from depthcli.kernels.exponential import exp_minus
 from depthcli.methods.confidence import CostCurves, confidence_maps, measure, measures
 from depthcli.testing import confidence
-from depthcli.testing.inputs import inside
 from tests.golden import refused
 from tests.naive import confidence as naive
 
@@ -69,13 +68,6 @@ def test_measures_that_look_at_other_pixels_agree_with_their_references(dtype, w
     joint = naive.agreement(curves.winner, 6) * naive.agreement(curves.winner, 6, right)
     joint *= np.sqrt(np.maximum(1 - 1 / apkr, 0))
     np.testing.assert_allclose(maps["dap"], joint, rtol=1e-2, atol=1e-3)
-
-
-def test_cells_outside_the_right_image_take_no_part():
-    costs = random_costs((5, 12, 20), np.uint16)
-    one, two = (confidence_maps(each, measures()) for each in (costs, costs * inside(costs.shape)))
-    for name in measures():
-        np.testing.assert_array_equal(one[name], two[name], err_msg=name)
 
 
 def test_unknown_names_are_refused_with_the_names_there_are():

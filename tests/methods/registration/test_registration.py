@@ -71,16 +71,6 @@ def test_same_bytes_at_any_stride_tile_and_thread_count(stride, shape):
             np.testing.assert_array_equal(values, expected[name][..., ::stride, ::stride, ::stride], err_msg=name)
 
 
-@pytest.mark.parametrize("offset", [(0, 0, 0), (2, 0, 0), (0, -1, 0), (1, 2, -2)])
-def test_expected_displacement_of_a_shifted_volume_is_the_shift(offset):
-    wide = channels(4, (18, 18, 18), 3)
-    places = [tuple(slice(3 - d, 15 - d) for d in each) for each in ((0, 0, 0), offset)]
-    found = search(*(np.ascontiguousarray(wide[(slice(None), *part)]) for part in places), 2.0, 3, 1)
-    means = found.displacement[:, 4:8, 4:8, 4:8].reshape(3, -1).T
-    assert np.allclose(means, 2.0 * np.array(offset), atol=0.05)
-    assert np.allclose(found.maps["shift"][4:8, 4:8, 4:8], 2 * np.linalg.norm(offset))
-
-
 def texture(shape, seed=0, sigma=1.2):
     return (100 * smooth_noise(np.random.default_rng(seed), shape, sigma)).astype(np.float32)
 
