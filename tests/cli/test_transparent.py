@@ -62,13 +62,13 @@ def test_scores_say_that_sparse_depth_is_from_the_truth_and_memory_is_respected(
     assert "needs about" in json.loads(tool.out(3, "transparent", "crf", *words))["scenes"][0]["error"]
 
 
-def _broken(folder, made_glass):
+def test_each_scene_that_cannot_be_used_is_one_line_and_the_others_are_written(made_glass, tmp_path):
     """Scenes beside a good one, each with one thing that cannot be used, and what is said of it by which preset."""
     camera = {"K": [[100, 0, 64], [0, 100, 48], [0, 0, 1]], "size": [128, 96]}
     rig = {"color": camera, "infrared": camera, "R": np.eye(3).tolist(), "t": [-0.08, 0, 0]}
 
     def scene(name):
-        return Path(shutil.copytree(made_glass / "glass_0", folder / name))
+        return Path(shutil.copytree(made_glass / "glass_0", tmp_path / "in" / name))
 
     (scene("no_calibration") / "calib.json").unlink()
     laid(scene("apart"), {"calib.json": rig | {"R": [[-1, 0, 0], [0, 1, 0], [0, 0, -1]]}})
@@ -78,17 +78,13 @@ def _broken(folder, made_glass):
         laid(scene(name), {file: np.full((96, 128), np.nan, np.float32)})
     scene("z_good")
     size, blind = "60 x 50", "no pixel has a depth"
-    return {
+    for preset, said in {
         "kinect": {
             "apart": "nothing in common", "blind": blind, "no_calibration": "no calibration",
             "small_color": size, "small_infrared": size,
         },
         "nearest": {"blind": blind, "no_samples": f"sparse.pfm: {blind}", "small_color": size},
-    }  # fmt: skip
-
-
-def test_each_scene_that_cannot_be_used_is_one_line_and_the_others_are_written(made_glass, tmp_path):
-    for preset, said in _broken(tmp_path / "in", made_glass).items():
+    }.items():  # fmt: skip
         made, stereo = tmp_path / preset, preset == "kinect"
         assert run("transparent", preset, "-i", tmp_path / "in", "-o", made) == 3
         found = rows(made)

@@ -4,13 +4,13 @@ import ast
 import doctest
 import importlib
 import inspect
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 import depthcli
+from tests.command_line import ended
 from tests.golden import saying
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -31,18 +31,13 @@ print(disparity.density, disparity.measured.mean(), len(cloud), depthcli.Status(
 """
 
 
-def python(*arguments: str, cwd: Path | None = None) -> str:
-    command = [sys.executable, *arguments]
-    return subprocess.run(command, cwd=cwd, check=True, capture_output=True, text=True, timeout=300).stdout
-
-
 def test_the_import_is_light():
     heavy = {"numpy", "numba", "cv2", "pydantic", "yaml"}
     light = f"""import sys, depthcli
 assert "stereo" in dir(depthcli) and "Disparity" in depthcli.__all__ and not {heavy} & set(sys.modules)
 depthcli.InputError  # errors need no kernels
 assert "numba" not in sys.modules"""
-    python("-c", light)
+    ended(0, sys.executable, "-c", light)
 
 
 def test_the_stub_names_what_the_package_has_and_all_of_it_has_a_docstring():
@@ -69,11 +64,10 @@ def test_examples_run(name: str):
 def test_a_script_of_ten_lines_is_typed_and_runs(tmp_path: Path, made_scenes: Path):
     (tmp_path / "user.py").write_text(USER_SCRIPT)
     options = ["--strict", "--config-file", "", "--cache-dir", str(tmp_path / "cache"), "--follow-imports=silent"]
-    checked = python("-m", "mypy", *options, "user.py", cwd=tmp_path)
-    assert checked.startswith("Success")
+    assert ended(0, sys.executable, "-m", "mypy", *options, "user.py", cwd=tmp_path).stdout.startswith("Success")
     for side in ("left", "right"):
         (tmp_path / f"{side}.png").write_bytes((made_scenes / "planes_0" / f"{side}.png").read_bytes())
-    said = python("user.py", cwd=tmp_path).split()
+    said = ended(0, sys.executable, "user.py", cwd=tmp_path).stdout.split()
     assert float(said[0]) == 1.0 and float(said[1]) > 0.5 and int(said[2]) > 1000
     assert (tmp_path / "points.ply").read_bytes().startswith(b"ply\n")
     assert {p.name for p in (tmp_path / "depth").iterdir()} == {"depth.pfm", "depth.png", "status.png", "preview.png"}
