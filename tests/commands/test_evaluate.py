@@ -22,6 +22,7 @@ from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.scores import MapResult, find_score
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image
+from depthcli.io.scenes import StereoScene
 from depthcli.report.tables import Document, chosen_text, headline_text, report_tables
 from depthcli.run.console import Reporter
 from depthcli.run.records import Record, write_record
@@ -272,6 +273,8 @@ def test_the_protocol_is_given_or_named_by_the_scene(tmp_path: Path, truth: Path
     assert [(s.protocol.name, s.scenes) for s in both.sections] == [("kitti-2012", ["a"]), ("middlebury-v2", ["b"])]
     assert [r.protocol for r in evaluated([run], truth, protocol="ETH3D").results] == ["eth3d"] * 2
     refused(InputError, evaluated, [run], truth, protocol="kitty")
+    unnamed = StereoScene(name="a", folder=truth, left=truth / "a/left.png", disparity_left=truth / "a/disp_left.png")
+    told(evaluate_runs([run], [unnamed], truth, None, Choices(None, Settings())).failed[0].error)
 
 
 def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, tool):

@@ -15,9 +15,10 @@ from depthcli.evaluation.protocols.depth import DepthProtocol, DepthTruth
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.scores import Score, Tally
 from depthcli.io.formats.disparity import read_disparity
-from depthcli.io.formats.images import read_image
+from depthcli.io.formats.images import read_grey, read_image
 from depthcli.io.volume_pairs import RegistrationTruth
 from tests.files import laid
+from tests.golden import told
 
 NAN = math.nan
 KNOWN = [0.25, 0.5, 0.5, 0.75, 8]
@@ -103,8 +104,8 @@ def test_promise_of_a_config():
     assert {promised(text) for text in ("bound: {level: 80, within: many}", "bound: true", "", "{")} == {None}
 
 
-def test_evaluate_measures_bounds_of_two_runs(made_scenes: Path, tmp_path: Path, tool):
-    """Errors of .5 px above row 20, 4 px below, and 1 px of bound."""
+def test_evaluate_reads_bounds_confidences_and_status_of_two_runs(made_scenes: Path, tmp_path: Path, tool):
+    """Errors of .5 px above row 20, 4 px below, and 1 px of bound; hidden pixels as they are."""
     name, out, runs = "curved_0", tmp_path / "out", (tmp_path / "a", tmp_path / "b")
     truth = read_disparity(made_scenes / name / "disp_left.pfm")
     error = np.full(truth.shape, 4, np.float32)
@@ -112,10 +113,14 @@ def test_evaluate_measures_bounds_of_two_runs(made_scenes: Path, tmp_path: Path,
     for run, level in zip(runs, (0.9, 0.5), strict=True):
         laid(run / name, {"disp_left.pfm": truth + error, "bound.pfm": np.full_like(truth, 1)})
         laid(run, {"run.yaml": f"bound: {{level: {level}, within: 5}}\n"})
-    status = np.where(error < 1, 0, 16).astype(np.uint8)
-    laid(runs[0] / name, {"probability.pfm": np.ones_like(truth), "status.png": status})
+    visible = read_grey(made_scenes / name / "mask_nonocc.png") == 255
+    status = np.where(error < 1, 0, 16) + np.where(visible, 0, [1, 4] * (visible.shape[1] // 2))
+    shares = {"probability": 1, "confidence": 0.25, "confidence_da": 0.5}  # which is a share, no probability
+    laid(runs[0] / name, {f"{key}.pfm": np.full_like(truth, value) for key, value in shares.items()})
+    laid(runs[0] / name, {"status.png": status.astype(np.uint8)})
     words = ["evaluate", *runs, "--truth", made_scenes, "--scenes", name, "-o", out, "--html", "--tables"]
-    assert "said filled" in tool.out(0, *words, "bounds")
+    printed = tool.out(0, *words, "bounds,confidence,hidden")
+    assert "said filled" in printed and "Hidden pixels" in printed
     report = json.loads((out / "scores.json").read_text())
     rows = {(r["run"], r["mask"], r["metric"]): r for r in report["bounds"] if r["metric"] != BAD}
     assert [rows["a", region, COVERAGE]["value"] for region in ("said measured", "said filled")] == [100, 0]
@@ -124,7 +129,11 @@ def test_evaluate_measures_bounds_of_two_runs(made_scenes: Path, tmp_path: Path,
     assert len({rows[of]["value"] for of in (("a", "all", COVERAGE), ("a", "all", WORST), ("b", "all", COVERAGE))}) == 1
     # Of a probability that all errors are within 5 px, and so they are.
     curves = [c for c in report["results"][0]["confidence"] if (c["mask"], c["of"]) == ("all", "bad")]
-    assert {c["measure"]: c["ece"] for c in curves}["probability"] == 0
+    by_measure = {c["measure"]: c for c in curves}
+    eces = {name: c["ece"] for name, c in by_measure.items() if c["reliability"] is not None}
+    right = 1 - by_measure["confidence"]["mean"]
+    assert eces == {"probability": 0, "confidence": pytest.approx(abs(0.25 - right), abs=1e-6)}
+    assert report["results"][0]["hidden"]["F1"] == 100
     lines = csv.DictReader((out / "scores.csv").read_text("utf-8").splitlines())
     wanted = {"run": "b", "scene": "*mean", "mask": "all", "metric": COVERAGE}
     (mean,) = (line for line in lines if wanted.items() <= line.items())
@@ -132,12 +141,15 @@ def test_evaluate_measures_bounds_of_two_runs(made_scenes: Path, tmp_path: Path,
     picture = read_image(*(out / "bounds" / "a").rglob("*.png"))
     inside, outside = ({tuple(c) for c in part.reshape(-1, 3).tolist()} for part in (picture[:20], picture[20:]))
     assert not inside & outside - {(255, 255, 255)}
-    assert "Coverage of the bounds against their level, nonocc" in (out / "report.html").read_text("utf-8")
+    page = (out / "report.html").read_text("utf-8")
+    assert "Coverage of the bounds against their level, nonocc" in page and "Reliability, all" in page
     assert "bounds/b/" in (out / "report.md").read_text("utf-8")
     # Without bounds there is no table, and damaged ones have a warning.
     (runs[0] / name / "bound.pfm").unlink()
     (runs[1] / name / "bound.pfm").write_bytes(b"damaged")
+    (runs[0] / name / "status.png").write_bytes(b"damaged")
     printed = tool.both(0, *words, "all")
-    assert "bounds of the error" not in printed.out and "bound.pfm" in printed.err
+    assert "bounds of the error" not in printed.out
+    told(printed.err)
     assert json.loads((out / "scores.json").read_text())["bounds"] == []
     assert "Coverage of the bounds" not in (out / "report.html").read_text("utf-8")

@@ -1,7 +1,6 @@
 """Sparsification, calibration, ranks, paired comparison, and what is said of runs: never more than the test shows."""
 
 import itertools
-import json
 import math
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from depthcli.evaluation.curves import PERCENTAGES, reliability, sparsification
 from depthcli.evaluation.map_files import DisparityFiles
 from depthcli.evaluation.protocols.registration import ExpectedErrorFiles
 from depthcli.evaluation.statistics import Ranking, average_ranks, compare, compare_all, holm, smallest_p
-from depthcli.io.formats.images import read_grey, write_png
 from tests.files import laid
 from tests.golden import refused
 from tests.naive import metrics as naive
@@ -186,22 +184,3 @@ def test_hidden_pixels_by_hand():
     assert {name: round(shares[name], 2) for name in expected} == expected
     assert curves.HiddenPixels.pooled([found, found]).marked == 6
     assert math.isnan(curves.HiddenPixels(0, 0, 0, 4).shares()["precision"])
-
-
-def test_evaluate_reads_confidence_and_status(made_scenes: Path, tmp_path: Path, tool):
-    name = "curved_0"
-    visible = read_grey(made_scenes / name / "mask_nonocc.png") == 255
-    maps = {"disp_left": 5, "confidence": 0.25, "confidence_da": 0.5}  # which is a share, no probability
-    folder = laid(tmp_path / "run" / name, {f"{k}.pfm": np.full(visible.shape, v, np.float32) for k, v in maps.items()})
-    write_png(folder / "status.png", np.where(visible, 0, [1, 4] * (visible.shape[1] // 2)).astype(np.uint8))
-    words = ["evaluate", tmp_path / "run", "--truth", made_scenes, "--scenes", name, "-o", tmp_path / "out", "--html"]
-    assert "Hidden pixels" in tool.out(0, *words, "--tables", "confidence,hidden")
-    (result,) = json.loads((tmp_path / "out" / "scores.json").read_text())["results"]
-    assert result["hidden"]["F1"] == 100
-    curve = next(c for c in result["confidence"] if (c["measure"], c["mask"], c["of"]) == ("confidence", "all", "bad"))
-    assert curve["ece"] == pytest.approx(abs(0.25 - (1 - curve["mean"])), abs=1e-6)
-    assert all(c["reliability"] is None for c in result["confidence"] if c["measure"] == "da")
-    assert {c["of"] for c in result["confidence"] if c["measure"] == "da"} == {"bad", "error"}
-    assert "Reliability, all" in (tmp_path / "out" / "report.html").read_text("utf-8")
-    (folder / "status.png").write_bytes(b"damaged")
-    tool.told(0, *words)
