@@ -226,12 +226,13 @@ def test_a_bound_that_ends_with_the_search_is_open(tmp_path: Path):
     assert np.isposinf(found.bound).all() and (found.status == depthcli.VolumeStatus.OPEN_BOUND).all()
     # Slices go through a given voxel, or the middle: slice 8 of 16 from above, so slice 7 as stored, at 14 mm.
     pictures = [
-        depthcli.registration_confidence(fixed, warped, (2, 1, 1), "mind", radius=2, slice_at=at)._repr_png_()
-        for at in ((9.0, 9.0, 14.0), (5.0, 6.0, 14.0))
+        depthcli.registration_confidence(fixed, warped, (2, 1, 1), "mind", radius=2, **fields)._repr_png_()
+        for fields in ({"slice_at": (9.0, 9.0, 14.0)}, {"slice_at": (5.0, 6.0, 14.0)}, {"neurological": True})
     ]
-    assert found._repr_png_() == pictures[0] != pictures[1]
+    assert found._repr_png_() == pictures[0] and len({*pictures}) == 3
     for suffix in (".nii.gz", ".mha", ".nrrd"):
         found.save(tmp_path, suffix, landmarks=[[5, 5, 5]])
         assert np.isposinf(read_volume(tmp_path / f"bound{suffix}", infinite=True).values).all()
         assert (read_volume(tmp_path / f"status{suffix}").values == 1).all()
+    assert read_image(tmp_path / "preview.png").shape[1] >= 1200  # the bound is the fourth column
     assert (tmp_path / "points.csv").read_text().splitlines()[1].split(",")[-2] == "> 2.5198"
