@@ -131,7 +131,7 @@ def load_config(
     try:
         value = model.model_validate(config.data, context={"folder": folder})
     except ValidationError as error:
-        problems += [_explain(config, each) for each in error.errors(include_url=False)]
+        problems += [_explain(config, each) for each in error.errors(include_url=False) if not _follows(each)]
     if value is None or problems:
         lines = {text: re.match(r"[^\n]*?:(\d+): ", text) for text in problems}
         raise ConfigError("\n".join(sorted(lines, key=lambda text: int(at[1]) if (at := lines[text]) else 0)))
@@ -317,6 +317,11 @@ def _step_into(inside: Any, part: str | int, default: Any) -> Any:
 
 
 # Errors of pydantic, with their place in the file.
+
+
+def _follows(error: Any) -> bool:
+    """Return whether a list seems too short only since its items have mistakes, which are told."""
+    return error["type"] == "too_short" and len(error["input"]) >= error["ctx"]["min_length"]
 
 
 def _explain(config: ConfigData, error: Any) -> str:

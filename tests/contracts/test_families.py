@@ -58,7 +58,7 @@ def test_methods(package: str, name: str, check: Callable[[Any], None]):
 
 
 def test_values_that_no_method_takes_are_refused():
-    parts = "[{cost: {method: census, outside: 0.3}, lambda: 1}, {cost: rank, lambda: 1}]"
+    parts = "[{cost: {method: census, outside: 0.3}, lambda: 1}]"
     for setting in ("cost={method: census, window: [1, 1]}", f"cost={{method: combined, parts: {parts}}}"):
         refused(ConfigError, preset, "stereo", "fast", setting)
     for setting in ("measure=eshfit", "intensity_range=[5, 5]"):
