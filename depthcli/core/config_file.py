@@ -321,7 +321,7 @@ def _step_into(inside: Any, part: str | int, default: Any) -> Any:
 
 def _follows(error: Any) -> bool:
     """Return whether a list seems too short only since its items have mistakes, which are told."""
-    return error["type"] == "too_short" and len(error["input"]) >= error["ctx"]["min_length"]
+    return bool(error["type"] == "too_short" and len(error["input"]) >= error["ctx"]["min_length"])
 
 
 def _explain(config: ConfigData, error: Any) -> str:
