@@ -122,20 +122,16 @@ def check_run(output: Path, damaged: list[str], reference: dict[str, bytes], err
     return 3 if failed else 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
-def test_damaged_images(made_scenes, tmp_path, reference, capfd, seed: int):
-    damaged = broken_folder(made_scenes, tmp_path / "in", IMAGES, seed, 24)
-    assert run("stereo", PRESET, "-i", tmp_path / "in", "-o", tmp_path / "out") == 3
-    assert check_run(tmp_path / "out", damaged, reference, capfd.readouterr().err) == 3
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_damaged_truth(made_scenes, tmp_path, reference, capfd, seed: int):
+@pytest.mark.parametrize(
+    "kinds", [pytest.param(IMAGES, marks=pytest.mark.slow, id="images"), pytest.param(TRUTHS, id="truth")]
+)
+def test_damaged_inputs(made_scenes, tmp_path, reference, capfd, kinds: list[Damage], seed: int):
+    """Without whole images a scene fails; the truth matters to the evaluation alone."""
     scenes, out, scores = (tmp_path / name for name in ("in", "out", "scores"))
-    damaged = broken_folder(made_scenes, scenes, TRUTHS, seed, 15)
-    assert run("stereo", PRESET, "-i", scenes, "-o", out) == 0  # the images are whole, the truth does not matter
-    assert check_run(out, damaged, reference, capfd.readouterr().err) == 0
+    damaged = broken_folder(made_scenes, scenes, kinds, seed, 24 if kinds is IMAGES else 15)
+    code = run("stereo", PRESET, "-i", scenes, "-o", out)
+    assert code == check_run(out, damaged, reference, capfd.readouterr().err) == (3 if kinds is IMAGES else 0)
     code = run("evaluate", out, "--truth", scenes, "-o", scores)
     assert code == (3 if json.loads((scores / "scores.json").read_text())["failed"] else 0)
     assert "Traceback" not in capfd.readouterr().err and "a_good" in (scores / "scores.csv").read_text()

@@ -40,6 +40,13 @@ def test_a_mask_of_the_objects_alone(made_glass, tmp_path, tool):
     near = float(np.median(depth))
     assert run(*command, "--ply", "--near", near, "--mask", "all") == 0
     assert len(vertices(made / "points.ply")) == (depth >= near).sum()
+    # By options, as in a folder; refused where a config does not look at it.
+    names = {"--color": "color.png", "--depth": "depth.pfm", "--objects": "mask_transparent.png"}
+    files = ["--name", "a", *(word for option, name in names.items() for word in (option, frame / name))]
+    assert run(*command[:2], *files, "-o", tmp_path / "single", "-q") == 0
+    np.testing.assert_allclose(read_pfm(tmp_path / "single" / "a" / "depth.pfm"), depth, rtol=1e-6)
+    tool.told(2, "transparent", "sparse", *files, "-o", tmp_path / "none", "-q")
+    assert run(*command[:4], *files[-2:], "-o", tmp_path / "none", "-q") == 2
     # What lies inside the mask does not count.
     write_pfm(frame / "depth.pfm", np.where(objects, np.float32(0.1), sensor))
     assert run(*command) == 0

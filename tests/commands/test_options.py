@@ -107,19 +107,3 @@ def test_cells_of_tables_keep_their_line_breaks_and_tabs_separate_them(tmp_path:
     assert [scene.name for scene in scenes_of_table(tmp_path / "t.csv")] == ["a\nb", "ab"]
     (tmp_path / "t.csv").write_text("left\tright\tname\na.png\tb.png\tx, y\n")
     assert [(scene.left.name, scene.name) for scene in scenes_of_table(tmp_path / "t.csv")] == [("a.png", "x, y")]
-
-
-def test_the_mask_of_glass_is_objects(tmp_path: Path, tool):
-    """As in a folder; refused where a config does not look at it."""
-    color = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
-    depth, mask = np.full((48, 64), 1500, np.uint16), np.zeros((48, 64), np.uint8)
-    depth[16:32, 20:40], mask[14:34, 18:42] = 2500, 255
-    names = {"--color": "color.png", "--depth": "depth.png", "--objects": "mask_transparent.png"}
-    scene = laid(tmp_path / "in/a", dict(zip(names.values(), (color, depth, mask), strict=True)))
-    files = ["--name", "a", *(word for option, name in names.items() for word in (option, scene / name))]
-    folder = ("-i", tmp_path / "in")
-    assert run("transparent", "sensor", *files, "-o", tmp_path / "o", "-q") == 0
-    assert run("transparent", "sensor", *folder, "-o", tmp_path / "p", "-q") == 0
-    assert (tmp_path / "o/a/depth.pfm").read_bytes() == (tmp_path / "p/a/depth.pfm").read_bytes()
-    tool.told(2, "transparent", "sparse", *files, "-o", tmp_path / "q", "-q")
-    assert run("transparent", "sensor", *folder, *files[-2:], "-o", tmp_path / "q", "-q") == 2
