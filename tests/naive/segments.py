@@ -116,23 +116,6 @@ def segment_window(costs, labels, radius):
     return out
 
 
-def segment_sums(costs, labels, radius, limits):
-    """Costs of chapter 2 (after eq. 2.7): sums over the window's pixels in the segment of its center, inf where banned.
-
-    ``limits`` (n, 2) are the lowest and the highest disparity of each segment (eq. 2.2).
-    """
-    height, width, disparities = costs.shape
-    out = np.full(costs.shape, np.inf)
-    for y, x in np.ndindex(height, width):
-        low, high = limits[labels[y, x]]
-        window = np.s_[max(0, y - radius) : y + radius + 1, max(0, x - radius) : x + radius + 1]
-        own = costs[window][labels[window] == labels[y, x]].astype(float)
-        for d in range(disparities):
-            if low <= d <= min(high, x):
-                out[y, x, d] = own[:, d].sum()
-    return out
-
-
 def discrepancy(values, trusted, labels, coefficients, weight, truncation, weights):
     count = labels.max() + 1
     unary = np.zeros((count, len(coefficients)))

@@ -9,8 +9,6 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.kernels.jit import run_bands
-from depthcli.kernels.winners import winners
-from depthcli.methods.stereo.cost.intensity_gradient import IntensityGradient
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent
 from depthcli.methods.stereo.segments import planes as energy
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, Split, grid_parts, segment_window
@@ -19,7 +17,6 @@ from depthcli.methods.stereo.segments.steps import Restoration, _lines, map_with
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.problems.results import write_details
 from depthcli.simulate.stereo_scenes import make_scene
-from depthcli.testing.inputs import texture
 from tests.contracts.checks import pairs_of_any_size_have_values_within_the_range_or_a_reason
 from tests.contracts.inputs import part, preset, views, wrong
 from tests.naive import segments as naive
@@ -53,23 +50,6 @@ def test_window_stays_inside_the_segment(radius, dtype):
     assert np.allclose(volume.costs / step, expected, atol=0.6 / step + (0 if dtype != np.float32 else 0.05))
 
 
-@pytest.mark.parametrize("radius", [0, 2])
-def test_first_disparities_have_the_smallest_sums_inside_segment_and_range(radius):
-    """Chapter 2: eq. 2.6 + 2.7, summed over the window's pixels in the segment, the ranges of eq. 2.2 as a ban."""
-    pair = StereoPair(texture((14, 30, 3), 1), texture((14, 30, 3), 2))
-    labels, limits = _labels(shape=(14, 30)), np.array([[0, 7], [2, 3], [4, 6], [1, 1]], np.int32)
-    costs = IntensityGradient()(pair, 8)
-    volume = segment_window(costs, labels, radius) if radius else costs
-    found = winners(Ranges(penalty=65535).penalize(volume, SearchRanges(labels, limits)).costs)[0]
-    sums = naive.segment_sums(costs.costs, labels, radius, limits)
-    matched = np.isfinite(sums).any(axis=2)
-    assert matched[:, 7:].all()
-    chosen = np.take_along_axis(sums, found[..., None].astype(int), axis=2)[..., 0]
-    rounding = (2 * radius + 1) ** 2 / volume.scale if radius else 0
-    assert np.all(chosen[matched] <= sums.min(axis=2)[matched] + rounding)
-    assert np.mean(found[matched] == sums.argmin(axis=2)[matched]) > 0.99
-
-
 def test_ranges_follow_equations_2_3_to_2_5():
     labels = np.tile(np.arange(9, dtype=np.int32) // 3, (4, 1))
     some, one = _matches((0, 0, 10.2), (1, 1, 12.6), (4, 2, 1.0)), _matches((4, 2, 19.5))
@@ -78,7 +58,7 @@ def test_ranges_follow_equations_2_3_to_2_5():
 
 
 @pytest.mark.parametrize(("dtype", "limit"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, np.inf)])
-@pytest.mark.parametrize("penalty", [0.0, 20.0, 90.0])
+@pytest.mark.parametrize("penalty", [0.0, 20.0, 65535.0])
 def test_disparities_outside_the_range_cost_more(dtype, limit, penalty):
     costs = np.random.default_rng(7).integers(0, 250, (9, 12, 6)).astype(dtype)
     ranges = np.array([[0, 5], [2, 3], [4, 5], [1, 1]], np.int32)

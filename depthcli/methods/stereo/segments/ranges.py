@@ -98,11 +98,9 @@ class Ranges(ConfigModel):
         costs = volume.costs
         limit = np.inf if costs.dtype == np.float32 else np.iinfo(costs.dtype).max
         kind = np.float32 if costs.dtype == np.float32 else np.int32
-        penalty = kind(min(self.penalty * volume.scale, 65535))
+        penalty = kind(min(self.penalty * volume.scale, limit))
         penalized: NDArray[Any] = memory.empty(costs.shape, costs.dtype)
-        run_bands(
-            _penalize, len(costs), costs, ranges.zones, ranges.limits, penalty, kind(min(limit, 65535)), penalized
-        )
+        run_bands(_penalize, len(costs), costs, ranges.zones, ranges.limits, penalty, kind(limit), penalized)
         return CostVolume(penalized, volume.scale)
 
 
