@@ -368,6 +368,16 @@ def test_rectified_pairs_and_a_config_that_rectifies_on_the_fly(pinhole: Shot, t
         words = ("-o", tmp_path / "depth" / made.parent.name, "--ply", "--mask", "measured", "-q")
         assert run("depth", made.parent, *words) == 0
     assert contents(tmp_path / "depth/one/room") == contents(tmp_path / "depth/two/room")
+    # From Python, too; both ask for the unit of millimeters.
+    pair, other = [*map(read_image, pinhole[1:])], opencv(tmp_path / "mm.yml", pinhole.rig, unit=0.001)
+    found = depthcli.stereo(*pair, preset="fast", calibration=str(file))
+    found.save(tmp_path / "python")
+    found.to_depth(mask="measured").save(tmp_path / "metric")
+    for name in ("disp_left.pfm", "status.png", "left.png", "calib.txt"):
+        assert (tmp_path / "python" / name).read_bytes() == (one / name).read_bytes()
+    assert (tmp_path / "metric/depth.pfm").read_bytes() == (tmp_path / "depth/one/room/depth.pfm").read_bytes()
+    refused(depthcli.InputError, depthcli.stereo, *pair, 30, "fast", calibration=str(other))
+    tool.told(2, "stereo", "fast", *pinhole.words, "-q", "--calibration", other, "-o", tmp_path / "mm")
     depth = read_pfm(tmp_path / "depth/two/room/depth.pfm")
     error = ((depth - true) / true)[np.isfinite(depth)]
     assert np.isfinite(depth).mean() > 0.6
@@ -382,23 +392,6 @@ def test_rectified_pairs_and_a_config_that_rectifies_on_the_fly(pinhole: Shot, t
     opencv(file, rig(strength=0.75))
     tool.told(0, *once)
     assert (one / "disp_left.pfm").read_bytes() != (two / "disp_left.pfm").read_bytes()
-
-
-def test_python_rectifies_as_the_command_does(pinhole: Shot, tmp_path: Path, tool):
-    """The same files, and metric depth without further numbers; both ask for the unit of millimeters."""
-    file, other = opencv(tmp_path / "c.yml", pinhole.rig), opencv(tmp_path / "mm.yml", pinhole.rig, unit=0.001)
-    line = ("stereo", "fast", *pinhole.words, "--max-disparity", "30", "-q", "--calibration")
-    assert run(*line, file, "-o", tmp_path / "run") == 0
-    assert run("depth", tmp_path / "run", "-o", tmp_path / "depth", "-q") == 0
-    views = [read_image(side) for side in (pinhole.left, pinhole.right)]
-    found = depthcli.stereo(*views, 30, "fast", calibration=str(file))
-    found.save(tmp_path / "python")
-    found.to_depth().save(tmp_path / "metric")
-    for name in ("disp_left.pfm", "status.png", "left.png", "calib.txt"):
-        assert (tmp_path / "python" / name).read_bytes() == (tmp_path / "run/room" / name).read_bytes()
-    assert (tmp_path / "metric/depth.pfm").read_bytes() == (tmp_path / "depth/room/depth.pfm").read_bytes()
-    refused(depthcli.InputError, depthcli.stereo, *views, 30, "fast", calibration=str(other))
-    tool.told(2, *line, other, "-o", tmp_path / "mm")
 
 
 def test_all_commands_read_a_calibration_as_rectify_does(tmp_path: Path):
