@@ -67,14 +67,10 @@ def cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cluster
     made.close()
 
 
-@pytest.fixture(scope="module")
-def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    size = ("--width", "96", "--height", "72", "--max-disparity", "12")
-    return sampled(tmp_path_factory, "-n", str(SCENES), *size)
-
-
 @pytest.mark.system
-def test_a_killed_worker_and_a_lost_scheduler(cluster: Cluster, scenes: Path, tmp_path: Path, capfd):
+def test_a_killed_worker_and_a_lost_scheduler(cluster: Cluster, tmp_path_factory, tmp_path: Path, capfd):
+    size = ("--width", "96", "--height", "72", "--max-disparity", "12")
+    scenes = sampled(tmp_path_factory, "-n", str(SCENES), *size)
     whole, output = tmp_path / "whole", tmp_path / "run"
     assert main(["stereo", PRESET, "-i", str(scenes), "-o", str(whole), "-q"]) == 0
     command = ("stereo", PRESET, "-i", scenes, "-o", output, "--scheduler", cluster.address)

@@ -11,7 +11,6 @@ from depthcli.algorithms.resampling import trilinear
 from depthcli.core.context import Clock
 from depthcli.core.volumes import Grid, RegisteredPair
 from depthcli.evaluation.statistics import correlation, ranks
-from depthcli.methods.confidence import CostCurves, measure
 from depthcli.methods.registration._search_kernels import MAX_SMALL_VALUE
 from depthcli.methods.registration.pipeline.search import RegistrationSearch, monotone
 from depthcli.methods.registration.search import displacements, search
@@ -45,17 +44,6 @@ def test_measures_agree_with_the_naive_reference(span, power, shape, count, half
         units = top if name in ("cur0", "cost0", "msm") else 1
         slack = 2e-3 * max(units / 20, 1)
         np.testing.assert_allclose(maps[name] * units, values, rtol=2e-3, atol=slack, err_msg=name)
-
-
-def test_stereo_measures_of_a_line_equal_those_of_a_stereo_pair():
-    fixed, warped = channels(9, (1, 1, 40), 3), channels(10, (1, 1, 40), 3)
-    found = search(fixed, warped, 1.0, 6, 2, costly=True)
-    offsets = np.array(naive.displacements((1, 1, 40), 6, "cube"))[:, 2]
-    costs = naive.curves(fixed, warped, 6, 2, "cube")[np.argsort(offsets), 0, 0].T.astype(np.float32)
-    for x, curve in enumerate(costs):  # one by one: stereo takes the deviation over all curves that it is given
-        alone = CostCurves(curve[None, None])
-        for name in ("pkr", "mlm", "aml"):
-            assert found.maps[name][0, 0, x] == pytest.approx(measure(name)(alone)[0, 0], rel=2e-3), (name, x)
 
 
 @pytest.mark.parametrize("stride", [1, 2, 3, 5])

@@ -60,11 +60,6 @@ def without(pipeline):
     return pipeline.model_copy(update={"adjust": ()})
 
 
-@pytest.fixture(scope="module")
-def accurate():
-    return preset("stereo", "accurate").pipeline
-
-
 def test_a_pair_whose_rows_were_far_off_is_matched_again(scene, monkeypatch):
     matched = Mock(wraps=adjustment._matched)
     monkeypatch.setattr(adjustment, "_matched", matched)
@@ -108,8 +103,9 @@ def test_sums_agree_with_the_naive_references(shape):
     check(right_view.sum_blocks, np.zeros((8, *blocks)), (*details, TILTED), expected, 1e-3, 0.1)
 
 
-def test_shifted_rows_are_aligned_and_a_correct_pair_hardly_changes(scene, accurate):
+def test_shifted_rows_are_aligned_and_a_correct_pair_hardly_changes(scene):
     """Offsets of up to three rows; also before fusion."""
+    accurate = preset("stereo", "accurate").pipeline
     askew = shifted(scene.right, TILTED)
     straight = error(accurate, scene, scene.right)
     assert abs(straight - error(without(accurate), scene, scene.right)) < 0.01
@@ -126,7 +122,8 @@ def test_shifted_rows_are_aligned_and_a_correct_pair_hardly_changes(scene, accur
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
-def test_uneven_light_is_corrected(seed, accurate):
+def test_uneven_light_is_corrected(seed):
+    accurate = preset("stereo", "accurate").pipeline
     scene = make_scene("foreground", seed=5, height=260, width=360, max_disparity=40, wall_contrast=0.2)
     optimization = {"method": "scanline", "p1": 10, "p2": 40}
     pipeline = local(adjust=["light"], cost="absolute_difference", optimization=optimization)

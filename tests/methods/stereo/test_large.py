@@ -23,7 +23,7 @@ from depthcli.methods.stereo.tiling import tile_by_tile
 from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, PROCESS_BYTES, Candidates, Margins, Span, Tile
 from depthcli.methods.stereo.tiling.tile_by_tile import Prior, TiledWinners, refined_map
 from depthcli.methods.stereo.volume import StereoResult
-from depthcli.simulate.stereo_scenes import SyntheticScene, make_scene
+from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.inputs import TINY, assert_pure, blocky_pair, random_volume, texture
 from tests.command_line import rows
 from tests.conftest import sampled
@@ -47,11 +47,6 @@ def least_memory(matcher, pair: StereoPair, top: int) -> StereoResult:
         except InputError:
             continue
     raise AssertionError("nothing sufficed")
-
-
-def generated(seed: int, size: tuple[int, int], top: int) -> tuple[SyntheticScene, StereoPair]:
-    made = make_scene("planes", seed, *size, top)
-    return made, views(made)
 
 
 @pytest.fixture
@@ -167,7 +162,7 @@ def test_local_methods_give_the_same_bytes_in_tiles(cost, aggregation, monkeypat
     monkeypatch.setattr(tile_by_tile, "_BAND_PIXELS", 2000)  # refinement in several bands, too
     fields = {"cost": cost, "aggregation": aggregation, "refinement": STEPS, "confidence": ["msm"]}
     pipeline = Local.model_validate(fields)
-    _, pair = generated(3, (200, 150), 40)
+    pair = views(make_scene("planes", 3, 200, 150, 40))
     whole = pipeline(pair, 40)
     result = least_memory(pipeline, pair, 40)
     assert result.figures["tiles"] > 3 and result.figures["exact"] == 1
@@ -181,8 +176,8 @@ def test_local_methods_give_the_same_bytes_in_tiles(cost, aggregation, monkeypat
 def test_every_kind_of_preset_nearly_the_same_map_in_tiles(name, small_levels):
     fields = {"measures": ["census", "absolute_difference"], "confidence": ["consensus"]}
     pipeline = Fusion.model_validate(fields) if name == "fusion" else preset("stereo", name).pipeline
-    made, pair = generated(1, (300, 210), 48)
-    results = []
+    made, results = make_scene("planes", 1, 300, 210, 48), []
+    pair = views(made)
 
     def run() -> np.ndarray:
         results.append(match_in_tiles(pipeline, pair, 48, PROCESS_BYTES + (96 << 20)))
