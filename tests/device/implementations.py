@@ -29,7 +29,7 @@ from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
 from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.inputs import TINY, blocky_pair, random_volume, texture
 from depthcli.testing.refinement import noisy_case
-from tests.contracts.inputs import part, preset
+from tests.contracts.inputs import part, preset, views
 
 REFINEMENT = "methods.stereo.refinement"
 SIZES = [*TINY, (37, 61, 70)]
@@ -132,15 +132,10 @@ def on_device(method, pair, max_disparity, device):
     return match(method, pair, max_disparity, Limits(1 << 40, device=device))
 
 
-def _pair(width, height, top):
-    scene = make_scene("foreground", 0, width, height, top)
-    return StereoPair(scene.left, scene.right)
-
-
 @pytest.mark.parametrize("name", ["fast", "cross", "ad-census", "accurate", "adaptive-weight"])
 def test_presets_run_wholly_on_the_device(device, name):
-    width, height = (140, 100) if name == "adaptive-weight" else (200, 150)
-    pipeline, pair = preset("stereo", name).pipeline, _pair(width, height, 24)
+    size = (140, 100) if name == "adaptive-weight" else (200, 150)
+    pipeline, pair = preset("stereo", name).pipeline, views(make_scene("foreground", 0, *size, 24))
     expected = pipeline(pair, 24)
     runs = [on_device(pipeline, pair, 24, device) for _ in range(2)]
     assert runs[0].figures["stages_on_cpu"] == 0
@@ -153,7 +148,8 @@ def test_presets_run_wholly_on_the_device(device, name):
 
 
 def test_a_step_without_device_implementation_runs_on_the_processor(device):
-    pair, fields = _pair(60, 40, 12), {"refinement": ["left_right_check", "region_voting"], "confidence": ["pkr"]}
+    pair = views(make_scene("foreground", 0, 60, 40, 12))
+    fields = {"refinement": ["left_right_check", "region_voting"], "confidence": ["pkr"]}
     for cost in ("zncc", "intensity_gradient"):  # costs of bytes, and of floats
         method = Local.model_validate({"cost": cost, **fields})
         expected, found = method(pair, 12), on_device(method, pair, 12, device)

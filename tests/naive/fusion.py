@@ -68,12 +68,6 @@ def _recurse(values, decay, axis):
     return np.moveaxis(out, 0, axis)
 
 
-def consensus_weights(shares, exponent):
-    """(M, H, W) weights proportional to a power of the shares."""
-    powered = np.maximum(shares, 1e-4) ** exponent
-    return powered / powered.sum(axis=0)
-
-
 def curve(costs, value):
     """Cost between two whole disparities."""
     low = min(int(value), len(costs) - 1)
@@ -128,13 +122,8 @@ def roughness(values, slope):
 def log_odds(rows, mean, scale, layers):
     """Log odds of (P, N, F) inputs."""
     (w1, b1), (w2, b2), (w3, b3) = layers
-    out = np.zeros(rows.shape[:2])
-    for p, n in np.ndindex(out.shape):
-        x = np.clip((rows[p, n] - mean) * scale, -4, 4)
-        x = np.maximum(x @ w1 + b1[n], 0)
-        x = np.maximum(x @ w2 + b2, 0)
-        out[p, n] = (x @ w3 + b3)[0]
-    return out
+    first = np.maximum(np.clip((rows - mean) * scale, -4, 4) @ w1 + b1, 0)
+    return (np.maximum(first @ w2 + b2, 0) @ w3 + b3)[..., 0]
 
 
 def matching_costs(maps, costs, unit, truncation):
