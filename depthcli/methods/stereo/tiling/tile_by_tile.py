@@ -26,7 +26,7 @@ from depthcli.methods.stereo.volume import CostMinima, CostVolume, FixedPoint, R
 _PATH_HALO = 32  # pixels after which the paths of a scanline no longer depend on where they begin
 _UNLIKELY_COST = 0.2  # added cost of unlikely disparities, in units of a scanline's penalty of a step
 _BAND_PIXELS = 1 << 20  # pixels refined at a time
-_FLOAT_BARRIER = 1e4  # cost between the spans of a float volume: no path goes through it
+_FLOAT_BARRIER = 1e4  # least cost between the spans of a float volume: no path goes through it
 _PIXEL_BYTES = 40  # of a row of a tile: features of the images, states of the paths
 
 
@@ -192,7 +192,9 @@ def _tile_volume(
 
 
 def _largest_cost(volume: CostVolume) -> float:
-    return {1: 255.0, 2: float(FixedPoint.LARGEST)}.get(volume.costs.itemsize, _FLOAT_BARRIER)
+    if volume.costs.dtype == np.float32:
+        return max(_FLOAT_BARRIER, float(volume.costs.max()))
+    return 255.0 if volume.costs.dtype == np.uint8 else float(FixedPoint.LARGEST)
 
 
 @jit
