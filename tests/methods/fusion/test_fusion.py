@@ -316,6 +316,8 @@ SMALL = {
 def test_the_mix_is_better_than_its_parts_and_agreement_sorts_out_errors():
     fusion = Fusion.model_validate(SMALL)
     first = Fusion.model_validate({**SMALL, "maps": None, "confidence": []})
+    choice = 120 * 160 * (5 * (9 + 12) + 1000)  # bytes for five proposals
+    assert fusion.maps.peak_bytes((120, 160), 24, 1 << 40) == (1 << 40) + choice
     errors = np.zeros(4)
     for seed in (5, 6):
         scene = make_scene("planes", seed, 160, 120, 24, wall_contrast=0.3)
