@@ -41,6 +41,7 @@ def test_every_curve_measure_agrees_with_its_reference(dtype, n_disparities, lev
     valid = np.random.default_rng(1).integers(1, n_disparities + 1, 40)
     curves = CostCurves(costs.reshape(5, 8, -1), valid.reshape(5, 8))
     got = curves.statistics
+    assert (CostCurves(costs).valid == n_disparities).all()
     maps = {name: measure(name)(curves).ravel() for name in CURVE_MEASURES}
     mean, deviation = naive.spread(costs, valid)
     assert got.eps == pytest.approx(1e-3 * mean, rel=1e-4)

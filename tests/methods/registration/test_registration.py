@@ -54,7 +54,7 @@ def test_same_bytes_at_any_stride_tile_and_thread_count(stride, shape):
     for count, tile in itertools.product((1, 2), ({}, {"tile": (4, 5, 7)}, {"tile": (1, 2, 1)})):
         with threads(count):
             found = search(*views, 1.0, 2, 2, costly=True, stride=stride, **tile)
-        maps, expected = ({**each.maps, "shift": each.displacement, "border": each.border} for each in (found, every))
+        maps, expected = ({**s.maps, "displacement": s.displacement, "border": s.border} for s in (found, every))
         for name, values in maps.items():
             np.testing.assert_array_equal(values, expected[name][..., ::stride, ::stride, ::stride], err_msg=name)
 
