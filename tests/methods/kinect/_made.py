@@ -50,3 +50,15 @@ def random_planes(coefficients, scale):
     surfaces = Surfaces(np.zeros((count, 6)), np.zeros((count, 2)), bounds, scale, 50.0)
     surfaces.coefficients[:, :3] = coefficients
     return surfaces, lambda s, y, x: float(coefficients[s] @ [1, x / 50, y / 50])
+
+
+def same_points(first, other, within: float = 0.5):
+    """Index in ``other`` of what each pixel of ``first`` shows, and whether it is seen there; by truth and poses."""
+    height, width = first.truth.shape
+    motion = np.linalg.inv(other.pose) @ first.pose
+    points = first.intrinsics.points(first.depth_true(), np.isfinite(first.truth))
+    x, y, w = first.intrinsics.matrix @ (motion[:3, :3] @ points.T + motion[:3, 3:])
+    columns, rows = np.rint(x / w).astype(int), np.rint(y / w).astype(int)
+    seen = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    index = np.where(seen, rows * width + columns, 0)
+    return index, seen & (np.abs(other.truth.ravel()[index] - 43.5 / w) < within)

@@ -22,7 +22,7 @@ from depthcli.simulate.kinect_scenes import make_kinect_sequence
 from tests.contracts.checks import assert_depth
 from tests.contracts.inputs import preset
 from tests.golden import refused
-from tests.methods.kinect._made import blocks, labels_of, noisy, off, pipeline, random_planes, sample_of
+from tests.methods.kinect._made import blocks, labels_of, noisy, off, pipeline, random_planes, same_points, sample_of
 from tests.naive import kinect as naive
 
 
@@ -253,18 +253,6 @@ def run(pipeline, samples):
         result, state = pipeline.step(sample.frame(), state)
         results.append(result)
     return results, state
-
-
-def same_points(first, other, within: float = 0.5):
-    """Index in ``other`` of what each pixel of ``first`` shows, and whether it is seen there; by truth and poses."""
-    height, width = first.truth.shape
-    motion = np.linalg.inv(other.pose) @ first.pose
-    points = first.intrinsics.points(first.depth_true(), np.isfinite(first.truth))
-    x, y, w = first.intrinsics.matrix @ (motion[:3, :3] @ points.T + motion[:3, 3:])
-    columns, rows = np.rint(x / w).astype(int), np.rint(y / w).astype(int)
-    seen = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    index = np.where(seen, rows * width + columns, 0)
-    return index, seen & (np.abs(other.truth.ravel()[index] - 43.5 / w) < within)
 
 
 def mean_error(results, samples):
