@@ -134,7 +134,10 @@ def test_evaluate_reads_bounds_confidences_and_status_of_two_runs(made_scenes: P
     right = 1 - by_measure["confidence"]["mean"]
     assert eces == {"probability": 0, "confidence": pytest.approx(abs(0.25 - right), abs=1e-6)}
     assert report["results"][0]["hidden"]["F1"] == 100
-    lines = csv.DictReader((out / "scores.csv").read_text("utf-8").splitlines())
+    lines = list(csv.DictReader((out / "scores.csv").read_text("utf-8").splitlines()))
+    areas = {tuple(line["metric"].split(":")) for line in lines if line["metric"].endswith(":bad")}
+    assert {name for area, name, _ in areas if area == "ece"} == {*eces}
+    assert {name for area, name, _ in areas if area == "auc"} == {*by_measure}
     wanted = {"run": "b", "scene": "*mean", "mask": "all", "metric": COVERAGE}
     (mean,) = (line for line in lines if wanted.items() <= line.items())
     assert float(mean["density"]) == 100 and int(mean["wrong"] or 0) <= int(mean["pixels"])

@@ -115,6 +115,9 @@ def test_holm_corrects_all_pairs_together():
      | {"f": [v + (-1) ** k * k for k, v in enumerate(NINE, 1)]},
      "a is significantly better than b, c, d and 1 more. No significant difference to f.",
      ["best", *["worse"] * 4, "not significant"]),
+    ({name: [v + 1 + v / 99 for v in NINE] for name in "bde"}
+     | {"c": [v + (-1) ** k * k for k, v in enumerate(NINE, 1)]},
+     "a is significantly better than b, d and e. No significant difference to c.", ["best", "not", *["worse"] * 3]),
     ({"b": [math.nan] * 9}, "No scene has a map of two runs", ["best", "no common scene"]),
     ({}, "", ["best"]),
 ])  # fmt: skip

@@ -79,6 +79,16 @@ def test_frames_in_folders_of_color_and_depth(tmp_path: Path):
     refused(InputError, find, tmp_path / "a")
 
 
+def test_a_mask_of_hidden_pixels_is_of_the_depth_s_size(tmp_path: Path):
+    (scene,) = find(laid(tmp_path / "a", FRAME))
+    for shape in ((6, 8), (1, 8)):
+        hidden = replace(scene, hidden=laid(tmp_path, {"hidden.npy": np.eye(*shape, dtype=np.uint8)}) / "hidden.npy")
+        if shape == (6, 8):
+            assert np.isnan(load(hidden).depth[np.eye(*shape, dtype=bool)]).all()
+        else:
+            refused(InputError, load, hidden)
+
+
 @pytest.mark.parametrize(("meta", "texts"), [
     ({"depth_scale": 2000, "fb": 6}, []),
     ({"depth_scale": 2000, "fb": 60000}, ["meta.json: fb 60000 makes the median disparity 6e+04 px"]),
@@ -408,9 +418,10 @@ def test_a_rig_and_a_rectified_pair(tmp_path):
     assert not any(frame.rig.right.distortion)
     write_png(tmp_path / "a/ir_noprojector.png", np.full((28, 36), 77, np.uint8))
     assert (loaded(tmp_path / "a").infrared == 77).all()
-    write_infrared(tmp_path / "b", {"rectified": True, "fb": 12.5}, (30, 40))
-    frame = loaded(tmp_path / "b")
-    assert (frame.rig, frame.fb) == (None, 12.5)
+    for fb, n_doubts in ((12.5, 0), (1250.0, 1)):  # millimeters
+        write_infrared(tmp_path / "b", {"rectified": True, "fb": fb}, (30, 40))
+        frame, lines = warned(loaded, tmp_path / "b")
+        assert (frame.rig, frame.fb, len(lines)) == (None, fb, n_doubts)
     write_infrared(tmp_path / "c", None)
     left, right = (Camera(np.array(K, float), lens) for lens in ((0.1, 0.0, 0.0, 0.0, 0.0), (0.0,) * 5))
     opencv(tmp_path / "c/calib.yml", Rig(left, right, np.eye(3), np.array([-0.05, 0, 0])), "M1 D1 M2 D2 R T")

@@ -104,6 +104,8 @@ def test_what_cannot_be_used_is_refused():
         {"preset": "sensor", "objects": DEPTH > 0}, {"preset": "sensor", "objects": DEPTH > 1},
     ):  # fmt: skip
         refused(depthcli.InputError, depthcli.complete_transparent, COLOR, DEPTH, **given)
+    for depth in (DEPTH[:, 1:], np.stack([DEPTH, DEPTH])):
+        refused(depthcli.InputError, depthcli.complete_transparent, COLOR, depth, depth)
     refused(depthcli.ConfigError, depthcli.complete_transparent, COLOR, DEPTH, infrared=COLOR[..., 0])
     refused(depthcli.ConfigError, depthcli.refine_depth, COLOR, DEPTH, depth_scale=-1)
     refused(depthcli.InputError, depthcli.refine_depth(COLOR, DEPTH, "nearest").to_points, mask=np.ones((8, 9)))

@@ -105,6 +105,17 @@ def test_pixels_beyond_the_right_image():
     assert given_maps._left_right(SimpleNamespace(values=values), None, right).tolist() == [[-16, 0, 0, -1]]
 
 
+def test_the_gradient_of_the_match_is_compared_along_the_row():
+    left = np.random.default_rng(0).integers(0, 256, (7, 12)).astype(np.float32)
+    seen = SimpleNamespace(grey=(left, np.roll(left, -3, axis=1)))
+    found = given_maps._gradient(SimpleNamespace(values=np.full(left.shape, 3, np.float32)), seen, None)
+    assert (found[:, 4:-1] == 0).all()
+    slopes = cv2.Sobel(left, cv2.CV_32F, 1, 0)[2] / 8
+    found = given_maps._gradient(SimpleNamespace(values=np.full(left.shape, 2.5, np.float32)), seen, None)
+    between = [slopes[x] - (slopes[x] + slopes[x + 1]) / 2 for x in range(4, 10)]
+    np.testing.assert_allclose(found[2, 4:10], -np.abs(between), rtol=1e-5)
+
+
 def test_the_costs_are_those_of_the_preset_fast():
     fast, own = preset("stereo", "fast").pipeline, (_planes._COST, _planes._OPTIMIZATION, _planes._REFINEMENT)
     assert (fast.cost, fast.optimization, fast.refinement) == own

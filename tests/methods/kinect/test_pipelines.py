@@ -305,6 +305,18 @@ def test_a_moving_camera_is_followed_with_less_error_and_less_noise_than_frame_b
     assert errors[0] < 0.95 * errors[1] and noise[0] < 0.8 * noise[1]
 
 
+def test_pixels_that_changed_while_the_camera_moved_are_not_followed():
+    first, *_, last = frames("camera")
+    _, state = run(sequence(), [first])
+    color = last.color.copy()
+    color[60:90] += 128  # modulo 256
+    changed = replace(last.frame(), color=color)
+    _, measurement, *_ = sequence().refine(changed)
+    way, view, followed = sequence()._followed(changed, measurement, state)
+    assert way == "pose" and view is not None and followed[view.reached].mean() > 0.4
+    assert not followed[60:90].any() and not followed[~view.reached].any()
+
+
 @pytest.mark.parametrize("kind", ["static", "moving"])
 def test_a_still_camera_has_the_same_bytes_with_and_without_poses(kind):
     samples = frames(kind)[:4]
