@@ -55,6 +55,9 @@ def test_ranges_follow_equations_2_3_to_2_5():
     some, one = _matches((0, 0, 10.2), (1, 1, 12.6), (4, 2, 1.0)), _matches((4, 2, 19.5))
     found = [Ranges(margin=m)(labels, each, 20).limits.tolist() for m, each in ((0.25, some), (0.25, None), (0, one))]
     assert found == [[[5, 18], [0, 6], [0, 20]], [[0, 20]] * 3, [[0, 20], [19, 20], [0, 20]]]
+    near, far = _matches((2, 3, 5), (8, 0, 15)), Ranges(margin=0, neighbors=1, reach=3.0, cell=0)
+    labels = np.tile(np.arange(12, dtype=np.int32) // 3, (4, 1))  # the second and the fourth have no key points
+    assert far(labels, near, 20).limits.tolist() == [[5, 5], [5, 5], [15, 15], [15, 15]]
 
 
 @pytest.mark.parametrize(("dtype", "limit"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, np.inf)])
