@@ -66,6 +66,17 @@ def test_depth_is_that_of_the_formula_and_of_opencv(matched: tuple[Path, Path], 
     assert (row["focal"], row["doffs"], row["points"]) == (713.189, 31.34, int(known.sum()))
 
 
+def test_a_single_pair_has_the_calibration_beside_it(matched: tuple[Path, Path], tmp_path: Path):
+    photos = {
+        f"{to}.png": (matched[0] / SCENE / f"{name}.png").read_bytes() for to, name in (("a", "im0"), ("b", "im1"))
+    }
+    laid(tmp_path, photos | {"calib.txt": V3})
+    pair = ("--left", tmp_path / "a.png", "--right", tmp_path / "b.png", "--max-disparity", "12")
+    assert run("stereo", "fast", *pair, "-o", tmp_path / "run", "-q") == 0
+    assert run("depth", tmp_path / "run", "-o", tmp_path / "out", "-q") == 0
+    assert [row["focal"] for row in rows(tmp_path / "out").values()] == [713.189]
+
+
 def test_bounds_in_meters_and_the_points_within_one(matched: tuple[Path, Path], tmp_path: Path, tool):
     one, made, limited = matched[0] / SCENE, tmp_path / "run" / SCENE, ("--max-bound", "0.1", "-q")
     assert run("stereo", "fast", "-i", matched[0], "-o", made.parent, "--bound", "-q") == 0

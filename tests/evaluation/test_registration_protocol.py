@@ -90,6 +90,14 @@ def test_pooled_figures_are_those_of_all_points(limit: int, monkeypatch: pytest.
     assert pooled == pytest.approx(values(result("all", *together).scores), rel=1e-12 if limit > 10**6 else 0.01)
 
 
+def test_areas_of_true_errors_sorted_by_expected_ones():
+    """Of errors from 0 to 9 mm, the best part s has a mean of 4.5 s, and the worst of 9 - 4.5 s."""
+    true = np.linspace(0, 9, 1000).reshape(1, 10, 100)
+    for expected, ause, aurg in ((2 * true, 0, 2.25), (9 - true, 4.5, -2.25)):
+        found = values(result("", expected, true).scores)
+        assert (found["AUSE"], found["AURG"]) == pytest.approx((ause, aurg), abs=0.02)
+
+
 def test_a_missing_pair_is_pooled_as_the_worst_points():
     here, lost = errors_along_x(3, (4, 50, 100)), errors_along_x(4, (2, 50, 100))
     full = result("a", *here)
