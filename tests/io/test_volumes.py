@@ -65,7 +65,9 @@ def test_simpleitk_reads_what_is_written(tmp_path, suffix, direction, vector):
     np.testing.assert_allclose(image.GetDirection(), direction, atol=1e-5)
     if suffix == ".nii":
         np.testing.assert_allclose(by_quaternion(path.read_bytes()), direction, atol=1e-3)
+    stderr = os.fstat(2)
     back = read_volume(path, vector)
+    assert os.path.samestat(os.fstat(2), stderr)  # it is silenced while the library reads
     np.testing.assert_array_equal(np.isfinite(back.values), known)  # ITK reads what is no number as 0 from NIfTI
     np.testing.assert_array_equal(back.values[known], values[known])
     assert back.grid.same_as(grid)

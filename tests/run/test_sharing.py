@@ -15,7 +15,7 @@ import pytest
 from depthcli.core.errors import ConfigError, OutputError
 from depthcli.run import workers
 from depthcli.run.console import Reporter
-from depthcli.run.folder import LOCKS_FILE, FolderLock, staging_folder
+from depthcli.run.folder import _REPORT, LOCKS_FILE, FolderLock, staging_folder
 from depthcli.run.job import shard_of
 from tests.command_line import contents, ended, run, start, statuses
 from tests.files import laid
@@ -105,6 +105,11 @@ def test_a_scene_is_claimed_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         other, claimed = another(tmp_path / "run", tmp_path / "nothing", "a", "b", "c")
         assert claimed == ["True", "False", "True"]
         assert not lock.claim("a") and not lock.last()
+        with lock.reporting():
+            reporter, claimed = another(tmp_path / "run", tmp_path / "nothing", _REPORT)
+            assert claimed == ["False"]
+        reporter.kill()
+        reporter.communicate()
         other.stdin.write("\n")
         other.stdin.flush()
         other.stdout.readline()

@@ -23,18 +23,16 @@ _MILLIMETERS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "\u00b5m": 0.00
 _COUNTED = {"voxel", "voxels", "vox", "px", "pixel", "pixels", "index", "idx", "slice"}
 
 
-def text_of(data: bytes, errors: str = "") -> str:
+def text_of(data: bytes, errors: str = "strict") -> str:
     """Return the text of a UTF-8 file, or of a UTF-16 file with a byte-order mark, without the mark.
 
-    Other bytes are decoded with ``errors``, a handler of ``bytes.decode``; by default, the file is read as Latin 1.
+    Other bytes are decoded with ``errors``, a handler of ``bytes.decode``; otherwise the file is read as Latin 1.
     """
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16", "replace")
     try:
-        return data.decode("utf-8-sig", errors or "strict")
+        return data.decode("utf-8-sig", errors)
     except UnicodeDecodeError:
-        if errors:
-            raise
         return data.decode("latin-1")
 
 
