@@ -10,7 +10,7 @@ from depthcli.core.errors import InputError
 from depthcli.io.calibration_photos import find_photos
 from depthcli.io.formats.calibrations import read_color_infrared_rig, read_geometry, read_rig
 from tests.boards import opencv
-from tests.cli.test_rectify import RIGS, SIZE, geometries, rig
+from tests.calibrations import RIGS, SIZE, geometries, rig
 from tests.files import laid
 from tests.golden import refused, told, warned
 
