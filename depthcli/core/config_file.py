@@ -320,7 +320,7 @@ def _step_into(inside: Any, part: str | int, default: Any) -> Any:
 
 
 def _follows(error: Any) -> bool:
-    """Return whether a list seems too short only since its items have mistakes, which are told."""
+    """Return whether a list seems too short only because pydantic left out items with errors of their own."""
     return bool(error["type"] == "too_short" and len(error["input"]) >= error["ctx"]["min_length"])
 
 
